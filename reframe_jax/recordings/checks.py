@@ -85,11 +85,8 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> tuple[n
     touches = count < _FEWEST or unordered
     change = _acceleration(positions, rows.times) if rows.times is not None else 0.0
     too_fast = f"the velocity changes by {change:.2g} m/s^2, more than"
-    advice = "if the positions are in mm, " + (
-        "give unit='mm' (--unit mm), for cm unit='cm'"
-        if rows.metres is None
-        else "correct the unit in the file"
-    )
+    remedy = "give unit='mm' (--unit mm), for cm unit='cm'"
+    advice = f"if the positions are in mm, {'correct the unit in the file' if rows.metres else remedy}"
     if distance.max(initial=0) > _DISTANT:
         row = int(np.argmax(distance))
         where = f"{distance[row]:.3g} m from the median position"

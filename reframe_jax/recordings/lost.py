@@ -104,7 +104,7 @@ def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostP
             late = spans / (_quantile(spans[spans > 0], 0.5) or 1.0)
             turns = poses[rows, :3, :3].reshape(-1, 9) / np.sqrt(2)
             identity = np.eye(3).ravel() / np.sqrt(2)
-            paths = _Path.of(poses[rows, :3, 3], np.zeros(3), late), _Path.of(turns, identity, late)
+            paths = _Path(poses[rows, :3, 3], np.zeros(3), late), _Path(turns, identity, late)
         found = np.full(len(rows), "", kinds.dtype)
         search(paths, found)
         kinds[rows] = found
@@ -122,32 +122,26 @@ def _quantile(numbers: np.ndarray, fraction: float) -> float:
     return float(low + (place - int(place)) * (high - low))
 
 
-@dataclass(frozen=True)
 class _Path:
-    """Positions or rotations (N, k) as a path."""
+    """Positions or rotations (N, k) as a path; rows took ``late`` (N-1,) median time steps."""
 
-    numbers: np.ndarray
-    origin: np.ndarray
-    steps: np.ndarray  # (N-1,) per median time step, if the step took longer
-    gaps: np.ndarray  # (N-1,) bool: rows are missing between the two
-    keys: np.ndarray  # (N,), equal for equal rows
-    zero: np.ndarray  # (N,) bool: the numbers are those of the origin
-    lengths: np.ndarray  # (M,) steps that are not 0
-
-    @staticmethod
-    def of(numbers: np.ndarray, origin: np.ndarray, late: np.ndarray) -> "_Path":
+    def __init__(self, numbers: np.ndarray, origin: np.ndarray, late: np.ndarray) -> None:
         count, weights = len(numbers), np.pi * np.sqrt(2 + np.arange(len(origin)))
-        squares, keys, zero = np.empty(count - 1), np.empty(count), np.empty(count, bool)
+        self.numbers, self.origin = numbers, origin
+        self.gaps = late > _GAP  # (N-1,) bool: rows are missing between the two
+        self.keys = np.empty(count)  # equal for equal rows
+        self.zero = np.empty(count, bool)  # the numbers are those of the origin
+        squares = np.empty(count - 1)
         for start in range(0, count, _BLOCK):
             part, here = slice(start, start + _BLOCK), numbers[start : start + _BLOCK + 1]
             squares[part] = np.square(np.diff(here, axis=0)).sum(axis=1)
             here = here[:_BLOCK]
-            keys[part] = (np.round(here / _SAME) * weights).sum(axis=1)
-            zero[part] = (np.abs(here - origin) < _SAME).all(axis=1)
+            self.keys[part] = (np.round(here / _SAME) * weights).sum(axis=1)
+            self.zero[part] = (np.abs(here - origin) < _SAME).all(axis=1)
         steps = np.sqrt(squares)
         steps[steps < _SAME] = 0
-        steps /= np.maximum(late, 1)
-        return _Path(numbers, origin, steps, late > _GAP, keys, zero, steps[steps > 0])
+        self.steps = steps / np.maximum(late, 1)  # (N-1,) per median time step, if the step took longer
+        self.lengths = self.steps[self.steps > 0]
 
     @cached_property
     def value(self) -> np.ndarray:

@@ -82,9 +82,7 @@ def _open(path: Path) -> dict[str, np.ndarray]:
             lines = done.stderr.strip().splitlines() or [f"ezc3d ended with {done.returncode}"]
             raise _damaged(path, f"it cannot be read: {shown(lines[-1].strip()).rstrip('.')}")
         with np.load(out) as arrays:
-            found = dict(arrays)
-    found["rotations"] = found["rotations"][: found["poses"].shape[1]]
-    return found
+            return dict(arrays)
 
 
 def extract(path: str, out: str) -> None:
@@ -100,14 +98,14 @@ def extract(path: str, out: str) -> None:
         groups, data = content["parameters"], content["data"]
         points = np.asarray(data["points"], float)[:3].transpose(2, 1, 0)
         lost = (points == 0).all(axis=2) | (data["meta_points"]["residuals"][0].T < 0)
-        rotation = groups.get("ROTATION", {})
+        rotation, poses = groups.get("ROTATION", {}), np.asarray(data["rotations"], float)
         rate = _number(groups["POINT"], "RATE")
         np.savez(
             out,
             markers=np.asarray(_labels(groups["POINT"])[: points.shape[1]], str),
             points=np.where(lost[..., None], np.nan, points),
-            rotations=np.asarray(_labels(rotation), str),
-            poses=np.asarray(data["rotations"], float).transpose(3, 2, 0, 1),
+            rotations=np.asarray(_labels(rotation)[: poses.shape[2]], str),
+            poses=poses.transpose(3, 2, 0, 1),
             rates=[rate, _number(rotation, "RATE") or rate * (_number(rotation, "RATIO") or 1)],
             unit="".join(groups["POINT"]["UNITS"]["value"][:1]).strip(),
         )

@@ -26,9 +26,7 @@ def read_lines(path: Path, blanks: str | None = None) -> Iterator[tuple[int, str
     with path.open("rb") as start:
         encoding = _find_encoding(start.read(_LONGEST))
     with path.open(encoding=encoding) as file:
-        number = 0
-        while line := file.readline(_LONGEST + 1):
-            number += 1
+        for number, line in enumerate(iter(lambda: file.readline(_LONGEST + 1), ""), 1):
             if len(line) > _LONGEST:
                 raise RecordingError(
                     f"{path}: line {number}: is longer than {_LONGEST} characters; expected a row of numbers."

@@ -61,9 +61,7 @@ def read_mha(path: Path, wanted: Selection) -> Rows:
 def _fields(path: Path) -> Iterator[tuple[int, int, str, str]]:
     """Yield line, frame, name and value of the fields of frames, down to the images."""
     with path.open("rb") as file:
-        number = 0
-        while line := file.readline(_LONGEST):
-            number += 1
+        for number, line in enumerate(iter(lambda: file.readline(_LONGEST), b""), 1):
             text = line.decode("utf-8", errors="replace").strip()
             if match := _FIELD.fullmatch(text):
                 yield number, int(match[1]), match[2], match[3]
