@@ -8,7 +8,6 @@ show whether the matrix is stored row by row. Numbers are 0 or missing where a b
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
@@ -30,28 +29,19 @@ _MOST_HEADINGS = 1000  # lines; each event has one
 _Lines = Iterator[tuple[int, list[str]]]
 
 
-@dataclass(frozen=True)
-class _Header:
-    about: dict[str, str]
-    width: int
-    start: dict[str, int]  # first column of every body
-    size: int  # columns of a body
-    time: int | None
-
-
 def read_qualisys(path: Path, wanted: Selection) -> Rows:
     """Read the poses of a rigid body; see :class:`Reader`."""
-    header, lines = _read_header(path)
-    first = header.start[choose_name(path, "body", wanted.body, [*header.start], "rigid bodies")]
-    rows = collect(path, lines, header.width, range(first, first + header.size), header.time)
-    rate = header.about.get("FREQUENCY", "")
-    if header.time is None and is_number(rate) and 0 < float(rate) < np.inf:
+    about, bodies, time, width, lines = _read_header(path)
+    columns = bodies[choose_name(path, "body", wanted.body, [*bodies], "rigid bodies")]
+    rows = collect(path, lines, width, columns, time)
+    rate = about.get("FREQUENCY", "")
+    if time is None and is_number(rate) and 0 < float(rate) < np.inf:
         rows.times = np.arange(len(rows.values)) / float(rate)
     rows.metres = 1e-3
     drop_zeros(rows, np.delete(rows.values, 6, axis=1))
     positions, turned = rows.values[:, :3], euler_matrices(_ORDER, np.radians(rows.values[:, 3:6]))
-    convention = header.about.get("ROTATION_CONVENTION", "")
-    if header.size == _FULL:
+    convention = about.get("ROTATION_CONVENTION", "")
+    if len(columns) == _FULL:
         turned = _ordered(rows, rows.values[:, 7:].reshape(-1, 3, 3), turned)
     elif convention.lower() != _STANDARD:
         raise RecordingError(
@@ -80,8 +70,8 @@ def _ordered(rows: Rows, elements: np.ndarray, turned: np.ndarray) -> np.ndarray
     return by_column
 
 
-def _read_header(path: Path) -> tuple[_Header, _Lines]:
-    """Return the header and the rows of numbers."""
+def _read_header(path: Path) -> tuple[dict[str, str], dict[str, range], int | None, int, _Lines]:
+    """Return the names and values, the columns of every body and of the time, the width, and the rows."""
     lines: _Lines = read_cells(path, "\t")
     about: dict[str, list[str]] = {}
     for number, cells in lines:  # noqa: B007
@@ -108,19 +98,19 @@ def _read_header(path: Path) -> tuple[_Header, _Lines]:
         full = all(last[i + 7 : i + 16] == [f"Rot[{k}]" for k in range(9)] for i in starts)
         size = _FULL if full else _ANGLES_ONLY
         time = cells.index("Time") if "Time" in cells else None
-    start = dict(zip(names, starts, strict=False))
-    if len(start) != int(count) or len(names) != int(count):
+    bodies = {name: range(start, start + size) for name, start in zip(names, starts, strict=False)}
+    if len(bodies) != int(count) or len(names) != int(count):
         raise RecordingError(
             f"{path}: expected {count} BODY_NAMES and {_FULL} columns of each body, X to Rot[8]; found "
             f"{len(names)} names and {len(cells)} columns."
         )
-    return _Header(single, len(cells), start, size, time), lines
+    return single, bodies, time, len(cells), lines
 
 
 def _contents(path: Path) -> list[Entry]:
-    header, _ = _read_header(path)
-    detail = f"rigid body, {shown(header.about.get('FREQUENCY', '?'), 20)} Hz"
-    return [Entry("body", name, detail) for name in header.start]
+    about, bodies, *_ = _read_header(path)
+    detail = f"rigid body, {shown(about.get('FREQUENCY', '?'), 20)} Hz"
+    return [Entry("body", name, detail) for name in bodies]
 
 
 QUALISYS = Reader(

@@ -8,7 +8,6 @@ Cells are empty or all 0, or the row ends, where a body was not seen.
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 
@@ -30,32 +29,27 @@ _HEADING = re.compile(r"^Global Angle (\([A-Za-z ]+\) )?")  # before names: Glob
 _Lines = Iterator[tuple[int, list[str]]]
 
 
-@dataclass(frozen=True)
-class _Body:
-    """Columns of a body, and the factors of their units."""
-
-    rotation: list[int]
-    position: list[int]
-    radians: float
-    metres: float
+_Body = tuple[list[int], list[int], float, float]
+"""Columns of the rotation and of the position, and their units in rad and m."""
 
 
 def read_vicon(path: Path, wanted: Selection) -> Rows:
     """Read the poses of an object or a segment; see :class:`Reader`."""
     rate, width, bodies, lines = _read_header(path)
-    body = bodies[choose_name(path, "body", wanted.body, [*bodies], "objects and segments")]
-    if len(body.rotation) == 3 and wanted.angles is None:
+    name = choose_name(path, "body", wanted.body, [*bodies], "objects and segments")
+    rotation, position, radians, metres = bodies[name]
+    if len(rotation) == 3 and wanted.angles is None:
         raise RecordingError(
             f"{path}: does not state the meaning of RX, RY, RZ; give {flag('angles')}: vector for an export "
             "of helical angles, XYZ for Euler XYZ."
         )
-    rows = collect(path, lines, width, [*body.position, *body.rotation, 0, 1], short=True)
+    rows = collect(path, lines, width, [*position, *rotation, 0, 1], short=True)
     if np.any(rows.values[:, -1] != 0):
         raise RecordingError(f"{path}: has sub frames; export one row per frame, at the frame rate.")
     rows.times = (rows.values[:, -2] - rows.values[:1, -2]) / rate
-    rows.values, rows.metres = rows.values[:, :-2], body.metres
+    rows.values, rows.metres = rows.values[:, :-2], metres
     drop_zeros(rows, rows.values[:, :6])
-    set_poses(rows, rows.values[:, :3], rows.values[:, 3:], wanted, body.radians, named=False)
+    set_poses(rows, rows.values[:, :3], rows.values[:, 3:], wanted, radians, named=False)
     return rows
 
 
@@ -98,7 +92,7 @@ def _read_header(path: Path) -> tuple[float, int, dict[str, _Body], _Lines]:
                 f"{path}: expected the units rad or deg, and mm, cm or m, of {shown(name, 40)}; found "
                 f"{shown(', '.join(given), 60)!r}."
             )
-        bodies[name] = _Body(columns[:-3], columns[-3:], radians or 1.0, metres)
+        bodies[name] = columns[:-3], columns[-3:], radians or 1.0, metres
     rows = takewhile(lambda line: line[1][0].lower() not in _TITLES, lines)  # down to the next section
     return float(rate[0]), len(axes), bodies, rows
 
