@@ -138,7 +138,6 @@ def _in_one_line(path: Path) -> Iterator[None]:
 
 
 def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Recording:
-    """Read and check one body."""
     with np.errstate(all="ignore"):  # the checks refuse numbers whose squares are infinite
         rows = reader.read(path, wanted)
         if "time_unit" not in reader.options:

@@ -76,21 +76,15 @@ def interpolate_poses(
     known = exact | (inside & (steps[after - 1] <= _GAP * np.median(steps)))
     after, wanted = after[known], wanted[known]
     fraction = (wanted - times[after - 1]) / steps[after - 1]
-    found = np.empty((len(wanted), 4, 4))
+    found = poses[after - 1]
     for start in range(0, len(wanted), _BLOCK):
-        part = slice(start, start + _BLOCK)
-        found[part] = _between(poses[after[part] - 1], poses[after[part]], fraction[part])
+        between = np.flatnonzero(fraction[start : start + _BLOCK]) + start  # exact at 0 and 1
+        first, second, part = found[between], poses[after[between]], fraction[between, None]
+        turns = rotation_vectors(first[:, :3, :3].swapaxes(1, 2) @ second[:, :3, :3])
+        found[between, :3, :3] = first[:, :3, :3] @ rotation_matrices(part * turns)
+        found[between, :3, 3] += part * (second[:, :3, 3] - first[:, :3, 3])
+    found[fraction == 1] = poses[after[fraction == 1]]
     return found, known
-
-
-def _between(first: np.ndarray, second: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-    """Poses at fractions (N,) of the way from the first to the second (N, 4, 4); exact at 0 and 1."""
-    turns = rotation_vectors(first[:, :3, :3].swapaxes(1, 2) @ second[:, :3, :3])
-    found = first.copy()
-    found[:, :3, :3] = first[:, :3, :3] @ rotation_matrices(fraction[:, None] * turns)
-    found[:, :3, 3] += fraction[:, None] * (second[:, :3, 3] - first[:, :3, 3])
-    found[fraction == 0], found[fraction == 1] = first[fraction == 0], second[fraction == 1]
-    return found
 
 
 def invert_poses(poses: np.ndarray) -> np.ndarray:

@@ -169,7 +169,6 @@ def read_bag(path: Path, wanted: Selection) -> Rows:
 
 
 def _read_topic(path: Path, bag: _Bag, wanted: Selection) -> Rows:
-    """Read all poses of a topic."""
     known, tf = bag.connections(_TOPICS), {each.topic for each in bag.connections(_TF)}
     names = sorted({each.topic for each in known})
     two = f"name two, {flag('from_frame')} and {flag('to_frame')}"

@@ -120,12 +120,10 @@ def _first(names: list[str], columns: Iterable[int], known: tuple[str, ...]) -> 
 
 
 def _names(line: str) -> list[str]:
-    """Plain names of the columns in a header."""
     return [plain_name(cell) for cell in split(line, find_delimiter(line))]
 
 
 def _starts(names: list[str]) -> list[int]:
-    """First columns of the tools."""
     plain = [split_unit(name)[0] for name in names]
     return [i for i in range(len(plain)) if plain[i : i + 7] == _NUMBERS]
 

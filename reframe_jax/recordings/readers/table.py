@@ -277,7 +277,6 @@ def _find_wrench(header: _Header) -> list[int]:
 
 
 def _matches(pattern: str, names: list[str]) -> list[int]:
-    """Return the columns whose names match a pattern."""
     return [i for i, name in enumerate(names) if re.fullmatch(pattern, name)]
 
 
