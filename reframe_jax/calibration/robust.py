@@ -107,5 +107,4 @@ def _outliers(design: np.ndarray, fit: Fit) -> np.ndarray:
     # a normal score with the probability of this ratio of variances (Paulson)
     root, a, b = np.cbrt(square / rows / rest), 2 / (9 * rows), 2 / (9 * np.maximum(freedom, 1))
     score = ((1 - b) * root - (1 - a)) / np.sqrt(b * root**2 + a)
-    found: np.ndarray = (score > -NormalDist().inv_cdf(_CHANCE / count)) & (freedom > 0)
-    return found
+    return (score > -NormalDist().inv_cdf(_CHANCE / count)) & (freedom > 0)

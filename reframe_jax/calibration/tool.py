@@ -227,8 +227,7 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 
 def _across(axis: np.ndarray) -> np.ndarray:
     """Two unit vectors perpendicular to an axis, (3, 2)."""
-    basis: np.ndarray = np.linalg.svd(axis[None])[2][1:].T
-    return basis
+    return np.linalg.svd(axis[None])[2][1:].T
 
 
 def _check(poses: ArrayLike) -> np.ndarray:

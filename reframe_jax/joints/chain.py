@@ -68,8 +68,7 @@ def chain_poses(parts: Sequence[JointPart], home: np.ndarray, coordinates: np.nd
             moved[..., :3, :3] = turn
             moved[..., :3, 3] = part.point - turn @ part.point + part.pitch * values * part.axis
         pose = pose @ moved
-    found: np.ndarray = pose @ home
-    return found
+    return pose @ home
 
 
 def chain_coordinates(
@@ -147,8 +146,7 @@ def _angle_about(axis: np.ndarray, turned: np.ndarray, later: np.ndarray | None)
         seen = turned @ later
         return np.arctan2(seen @ np.cross(axis, later), seen @ later - (seen @ axis) * (axis @ later))
     along = np.einsum("i,kij,j->k", axis, turned, axis)
-    angles: np.ndarray = np.arctan2(skew_vectors(turned) @ axis, np.trace(turned, axis1=1, axis2=2) - along)
-    return angles
+    return np.arctan2(skew_vectors(turned) @ axis, np.trace(turned, axis1=1, axis2=2) - along)
 
 
 def ball_hinges(point: np.ndarray, vectors: np.ndarray) -> tuple[JointPart, ...]:

@@ -312,8 +312,7 @@ def _gauge(geometry: _Geometry, plan: _Plan, parts: Sequence[JointPart], child: 
 
 def _positive(axis: np.ndarray) -> np.ndarray:
     """Return an axis (3,) with the sign that makes its largest component positive."""
-    signed: np.ndarray = axis * np.sign(axis[np.argmax(np.abs(axis))])
-    return signed
+    return axis * np.sign(axis[np.argmax(np.abs(axis))])
 
 
 def _rms(values: np.ndarray) -> float:

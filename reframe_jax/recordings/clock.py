@@ -163,8 +163,7 @@ def sort_times(rows: Rows) -> None:
 def _distances(values: np.ndarray) -> np.ndarray:
     """Distances (N-1,) of consecutive rows in all their numbers, in units of their standard deviations."""
     spread = values.std(axis=0)
-    found: np.ndarray = np.sum(np.abs(np.diff(values, axis=0)) / np.where(spread > 0, spread, 1), axis=1)
-    return found
+    return np.sum(np.abs(np.diff(values, axis=0)) / np.where(spread > 0, spread, 1), axis=1)
 
 
 def drop_equal_times(rows: Rows) -> None:

@@ -67,8 +67,7 @@ class LostPoses:
     @property
     def mask(self) -> np.ndarray:
         """(K,) bool, True for rows that are not poses."""
-        found: np.ndarray = self.reasons != ""
-        return found
+        return self.reasons != ""
 
     @property
     def runs(self) -> tuple[LostRun, ...]:
@@ -173,8 +172,7 @@ class _Path:
         step = np.maximum(near.max(axis=1), max(usual, _LEAST))
         ends = np.concatenate([[np.nan], self.steps, [np.nan]])[runs]
         both = np.column_stack([np.fmin(*ends.T), np.fmax(*ends.T)])
-        found: np.ndarray = both > limit * step[:, None]
-        return found
+        return both > limit * step[:, None]
 
 
 def _at_origin(paths: tuple[_Path, _Path], kinds: np.ndarray) -> None:
@@ -316,8 +314,7 @@ def _goes_on(numbers: np.ndarray, steps: np.ndarray, repeats: np.ndarray, late: 
     bend = np.fmax(_largest_near(bends, late, _AHEAD - 1), _usual_bend(steps, bends))
     bend[repeats[late] < _REPEATS] = np.inf
     missed = np.minimum(0.5 * repeats[late], _SUDDEN) * usual
-    found: np.ndarray = steps[late] > usual + np.minimum(missed, _BENDS * bend) + _LEAST
-    return found
+    return steps[late] > usual + np.minimum(missed, _BENDS * bend) + _LEAST
 
 
 def _largest_near(numbers: np.ndarray, rows: np.ndarray, size: int) -> np.ndarray:
@@ -325,14 +322,12 @@ def _largest_near(numbers: np.ndarray, rows: np.ndarray, size: int) -> np.ndarra
     unknown = np.full(_AHEAD + 1, np.nan)
     padded = np.concatenate([unknown, numbers, unknown])
     largest = np.fmax.reduce(np.lib.stride_tricks.sliding_window_view(padded, size), axis=1)
-    found: np.ndarray = np.fmax(largest[rows + 1], largest[rows + _AHEAD + 2])
-    return found
+    return np.fmax(largest[rows + 1], largest[rows + _AHEAD + 2])
 
 
 def _bends(numbers: np.ndarray) -> np.ndarray:
     """Changes (N-2,) of the steps of a path (N, k); by column, with little memory."""
-    found: np.ndarray = np.sqrt(sum(np.diff(column, 2) ** 2 for column in numbers.T))
-    return found
+    return np.sqrt(sum(np.diff(column, 2) ** 2 for column in numbers.T))
 
 
 def _usual_bend(steps: np.ndarray, bends: np.ndarray) -> float:

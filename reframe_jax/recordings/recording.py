@@ -91,5 +91,4 @@ class Recording:
         rows, times = self.rows[order].astype(float), self.times[order]
         step = (times[-1] - times[0]) / max(rows[-1] - rows[0], 1)
         beyond = np.minimum(gone - rows[0], 0) + np.maximum(gone - rows[-1], 0)
-        found: np.ndarray = np.interp(gone, rows, times) + step * beyond
-        return found
+        return np.interp(gone, rows, times) + step * beyond

@@ -139,8 +139,7 @@ def _decoder(first: bool) -> Callable[[bytes, str], Any]:
     store = types.get_typestore(types.Stores.ROS1_NOETIC if first else types.Stores.LATEST)
     if _TF[0] not in store.fielddefs:
         store.register(types.get_types_from_msg(f"{_TRANSFORM}[] transforms", _TF[0]))
-    decode: Callable[[bytes, str], Any] = store.deserialize_ros1 if first else store.deserialize_cdr
-    return decode
+    return store.deserialize_ros1 if first else store.deserialize_cdr
 
 
 @contextmanager
