@@ -9,7 +9,6 @@ identify (demos-000.csv and so on).
 
 import argparse
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -50,11 +49,10 @@ def run(options: argparse.Namespace) -> int:
 
     common |= {"redraw": not options.keep, "duration": options.duration, "dt": options.dt}
     given = options.constraint, jax.random.key(options.seed), options.count
-    parts: Iterable[Any]
     try:
         if options.out.suffix:
             drawn = list(arm.demonstrations(*given, chunk=min(options.count, _CHUNK), **common))
-            written, parts = _write(options.out, drawn), drawn
+            written, parts = _write(options.out, drawn), iter(drawn)
         else:
             arm.store_demonstrations(*given, options.out, chunk=_CHUNK, **common)
             written, parts = str(options.out), arm.stored_demonstrations(options.out)

@@ -88,10 +88,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if rest:
         options.usage_error(f"unrecognized arguments: {' '.join(rest)}")
     try:
-        code: int = options.run(options)
+        return options.run(options)
     except KeyboardInterrupt:
         return 130  # exit code that shells report for Ctrl-C
-    return code
 
 
 def full_parser() -> argparse.ArgumentParser:

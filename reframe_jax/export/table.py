@@ -56,8 +56,7 @@ def to_table(
     heading = f"{label}: {host.name}" if label else host.name
     if status.failed:
         return heading
-    spans: Sequence[Window | None] = windows or [None]
-    (window,) = spans
+    (window,) = windows or (None,)
     blocks = [f"{heading} ({format_probability(host.probability)})", status.message, *host.warnings, ""]
     for group in TYPES:
         blocks += _frame_block(group, getattr(host, group))

@@ -63,9 +63,7 @@ class Rows:
     angles: AngleTriples | None = None  # the orientations, if the file contains angles
     no_times: str = "give the sample time, dt (--dt)"  # remedy if the file has no times, for a message
     missing: str = "a number is missing or not finite"  # reason why numbers are missing, for a note
-    frames: np.ndarray | None = (
-        None  # (N,) int, numbers that count sample times; None if every row is a frame
-    )
+    frames: np.ndarray | None = None  # (N,) int, which count sample times; None if every row is one
     left_out: list[LeftOut] = field(default_factory=list)
 
     @property

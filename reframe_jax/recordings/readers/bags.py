@@ -9,6 +9,7 @@ import importlib
 import io
 import os
 from array import array
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -314,10 +315,9 @@ def _plain(frame: str) -> str:
 
 def _contents(path: Path) -> list[Entry]:
     with _open(path) as bag:
-        counts: dict[tuple[str, str], int] = {}
+        counts = Counter[tuple[str, str]]()
         for each in bag.connections(_TOPICS):
-            key = each.topic, each.msgtype.replace("/msg/", "/")
-            counts[key] = counts.get(key, 0) + each.msgcount
+            counts[each.topic, each.msgtype.replace("/msg/", "/")] += each.msgcount
         found = [Entry("topic", name, f"{kind}, {count} messages") for (name, kind), count in counts.items()]
         edges = _edges(bag)
     children = {edge.child for edge in edges}

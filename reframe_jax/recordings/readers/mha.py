@@ -6,6 +6,7 @@ ignores the images.
 """
 
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -70,10 +71,8 @@ def _fields(path: Path) -> Iterator[tuple[int, int, str, str]]:
 
 
 def _contents(path: Path) -> list[Entry]:
-    counts: dict[str, int] = {}
-    for _, _, name, _ in _fields(path):
-        if (match := _TRANSFORM.fullmatch(name)) and not match[2]:
-            counts[match[1]] = counts.get(match[1], 0) + 1
+    found = (_TRANSFORM.fullmatch(name) for _, _, name, _ in _fields(path))
+    counts = Counter(match[1] for match in found if match and not match[2])
     return [Entry("body", name, f"transform, {count} frames") for name, count in counts.items()]
 
 
