@@ -108,8 +108,18 @@ def calibrate(poses: ArrayLike, *, spin: bool = False) -> Calibration:
     Raises:
         ValueError: if the poses are too few, not rigid, or do not determine the tip or the axis.
     """
+    try:
+        array = np.asarray(poses, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"poses must be an array of numbers: {error}") from error
+    if array.ndim != 3 or array.shape[1:] != (4, 4):
+        raise ValueError(f"poses must have shape (N, 4, 4), not {array.shape}.")
+    given = Rows(Path("poses"), "row", np.arange(len(array)), array.reshape(-1, 16), None)
+    finite = np.isfinite(given.values).all(axis=1)
+    if not finite.all():
+        raise given.error(int(np.argmin(finite)), "is not finite: leave it out.")
     # sorted, so that the order of the rows has no effect
-    numbers, rows = np.unique(_check(poses).reshape(-1, 16), axis=0, return_inverse=True)
+    numbers, rows = np.unique(make_poses(given).reshape(-1, 16), axis=0, return_inverse=True)
     if len(numbers) < MIN_POSES:
         raise ValueError(
             f"A calibration needs {MIN_POSES} different poses or more; there are {len(numbers)}."
@@ -228,18 +238,3 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 def _across(axis: np.ndarray) -> np.ndarray:
     """Two unit vectors perpendicular to an axis, (3, 2)."""
     return np.linalg.svd(axis[None])[2][1:].T
-
-
-def _check(poses: ArrayLike) -> np.ndarray:
-    """Return poses (N, 4, 4), float64, with proper rotations."""
-    try:
-        array = np.asarray(poses, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"poses must be an array of numbers: {error}") from error
-    if array.ndim != 3 or array.shape[1:] != (4, 4):
-        raise ValueError(f"poses must have shape (N, 4, 4), not {array.shape}.")
-    rows = Rows(Path("poses"), "row", np.arange(len(array)), array.reshape(-1, 16), None)
-    finite = np.isfinite(rows.values).all(axis=1)
-    if not finite.all():
-        raise rows.error(int(np.argmin(finite)), "is not finite: leave it out.")
-    return make_poses(rows)

@@ -13,7 +13,6 @@ probability that it is free, or constrained, in parentheses.
 import argparse
 import sys
 from collections import Counter
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -142,9 +141,7 @@ def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns
         recording = read_recording(path, options)
         found, windows = identify_recording(recording, options)
         tables.append(to_columns(found, label=str(path), windows=windows))
-        _print_result(recording, found, windows, options)
-        if options.plot is not None:
-            draw(partial(_figure, recording, found, options), recording.path, options)
+        _show_result(recording, found, windows, options)
         if options.window is None:
             write_joint_files(recording, found, options)
     except Exception as error:  # an error in one file must not stop the other files
@@ -161,10 +158,10 @@ def _thresholds(options: argparse.Namespace) -> Thresholds | None:
     return Thresholds(**given) if given else None
 
 
-def _print_result(
+def _show_result(
     recording: Recording, found: Identification, windows: list[Window], options: argparse.Namespace
 ) -> None:
-    """Print the table, the rows that were left out, and the explanation.
+    """Print the table, the rows that were left out, and the explanation, and draw the picture.
 
     The explanation has error bars if the options allow a covariance. If no window has a result, a
     RecordingError is raised.
@@ -186,6 +183,15 @@ def _print_result(
         usual = options.norm == 0 and options.discretization == "chord"
         spread = covariance(found, recording.poses, **given) if usual else None
         print_result(found.explain(spread, excitation(found, recording.poses, **given)), end="\n\n")
+    if options.plot is not None:
+        drawn = {
+            "times": recording.times,
+            "thresholds": _thresholds(options),
+            "discretization": options.discretization,
+            "title": f"{path.name}: {found.name}",
+            "left_out": recording.left_out_times,
+        }
+        draw(lambda plot: plot.plot_identification(recording.poses, found, **drawn), path, options)
 
 
 def identify_recording(
@@ -221,20 +227,6 @@ def identify_recording(
 def _identify_windows(poses: np.ndarray, times: np.ndarray, options: argparse.Namespace) -> Identification:
     same = {name: getattr(options, name) for name in ("scales", "assume", "norm", "discretization", "bounds")}
     return identify(poses, times=times, thresholds=_thresholds(options), **same)
-
-
-def _figure(recording: Recording, found: Identification, options: argparse.Namespace) -> Any:
-    from reframe_jax.plotting import plot_identification
-
-    return plot_identification(
-        recording.poses,
-        found,
-        times=recording.times,
-        thresholds=_thresholds(options),
-        discretization=options.discretization,
-        title=f"{recording.path.name}: {found.name}",
-        left_out=recording.left_out_times,
-    )
 
 
 def summary_table(records: list[dict[str, Any]]) -> str:

@@ -1,6 +1,7 @@
 """Write the JSON documents and pictures of a command."""
 
 import argparse
+import importlib
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
@@ -60,11 +61,11 @@ def write_document(records: list[dict[str, Any]], schema: str, options: argparse
     return int(any(record["error"] is not None for record in records))
 
 
-def draw(make: Callable[[], Any], recording: Path, options: argparse.Namespace) -> None:
-    """Save the figure that a function draws; raise a RecordingError if it cannot be drawn or written."""
+def draw(make: Callable[[Any], Any], recording: Path, options: argparse.Namespace) -> None:
+    """Save the figure that a function makes with :mod:`reframe_jax.plotting`, or raise a RecordingError."""
     out = path_of(options.plot, recording, options)
     try:
-        figure = make()
+        figure = make(importlib.import_module("reframe_jax.plotting"))
     except ImportError as error:
         raise RecordingError(str(error)) from error
     try:

@@ -53,7 +53,14 @@ def run(options: argparse.Namespace) -> int:
     except ValueError as error:
         return fail(error)
     print_result(f"{CONSTRAINTS[options.constraint].name}, {options.trials} trials, {options.controller}")
-    print_result(_errors(comparison.errors))
+    # as far as the constraint determines them
+    names = (("angular axis", "deg"), ("linear axis", "deg"), ("position", "mm"))
+    errors = [
+        f"{name} {np.median(column):.2f} {unit}"
+        for (name, unit), column in zip(names, comparison.errors.T, strict=True)
+        if not np.isnan(column).any()
+    ]
+    print_result(f"median errors of the identified frames: {', '.join(errors) or 'none defined'}")
     if comparison.redrawn:
         print_result(f"left out, out of reach of the arm even in the true frame: {int(comparison.redrawn)}")
     print_result(f"{'frames':12}{'completed':>10}{'time, s':>9}{'peak moment, N m':>22}{'peak force, N':>20}")
@@ -72,14 +79,3 @@ def run(options: argparse.Namespace) -> int:
         why = " ".join(RolloutStatus(code).message for code in codes if code)
         print_error(f"reframe-jax: some trials in identified frames did not reach the end-stop. {why}")
     return 0
-
-
-def _errors(errors: np.ndarray) -> str:
-    """Median errors of the axes and of the position, as far as the constraint determines them."""
-    names = (("angular axis", "deg"), ("linear axis", "deg"), ("position", "mm"))
-    parts = [
-        f"{name} {np.median(column):.2f} {unit}"
-        for (name, unit), column in zip(names, errors.T, strict=True)
-        if not np.isnan(column).any()
-    ]
-    return f"median errors of the identified frames: {', '.join(parts) or 'none defined'}"

@@ -7,7 +7,6 @@ identify can be read.
 """
 
 import argparse
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,8 @@ from reframe_jax.cli.outputs import add_outputs, check_outputs, draw, write_docu
 from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.cli.reading import add_reading, expand, read_recording
 from reframe_jax.export.segments import SCHEMA, segments_to_record, segments_to_table
-from reframe_jax.recordings.recording import Recording, RecordingError
+from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.segmentation.entry import segment
-from reframe_jax.segmentation.results import Segmentation
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
@@ -51,14 +49,9 @@ def _segment_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
         if options.json != "-":
             print_result(segments_to_table(found, label=str(path)), end="\n\n")
         if options.plot is not None:
-            draw(partial(_figure, recording, found), path, options)
+            title = path.name
+            draw(lambda plot: plot.plot_segmentation(recording.poses, found, title=title), path, options)
     except ValueError as error:
         problem = str(error) if isinstance(error, RecordingError) else f"{path}: {error}"
         fail(problem)
     return segments_to_record(found, label=str(path), error=problem)
-
-
-def _figure(recording: Recording, found: Segmentation) -> Any:
-    from reframe_jax.plotting import plot_segmentation
-
-    return plot_segmentation(recording.poses, found, title=recording.path.name)

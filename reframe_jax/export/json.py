@@ -87,12 +87,22 @@ def _window_record(found: Identification, span: Window | None) -> dict[str, Any]
     if status.failed:
         return record | {"notes": []} | dict.fromkeys(_RESULT)
     entry, (ground, body) = found.entry, found.universal_axes
+    probability = np.nan_to_num(np.asarray(found.entry_probability, float))
     record |= {
         "notes": found.warnings,
         "name": found.name,
         "label": entry.label if entry else None,
         "probability": found.probability,
-        "alternatives": _alternatives(found),
+        "alternatives": [
+            {
+                "name": name_of(code),
+                "label": other.label if (other := constraint_of(code)) else None,
+                "type": str(ENTRIES[code].kind),
+                "probability": probability[code],
+            }
+            for code in np.argsort(-probability).tolist()
+            if probability[code] > _LEAST
+        ],
         "pitch": found.pitch,
         "universal_axes": {"ground": ground, "body": body} if np.isfinite([ground, body]).all() else None,
         "noise": {"position": found.noise.position, "rotation": found.noise.rotation},
@@ -110,21 +120,6 @@ def _window_record(found: Identification, span: Window | None) -> dict[str, Any]
         }
     record["linear"]["free_position"] = directions(np.asarray(found.linear.free_position))
     return record | {"candidates": candidates}
-
-
-def _alternatives(found: Identification) -> list[dict[str, Any]]:
-    """The probable constraints, in order of decreasing probability."""
-    probability = np.nan_to_num(np.asarray(found.entry_probability, float))
-    return [
-        {
-            "name": name_of(code),
-            "label": entry.label if (entry := constraint_of(code)) else None,
-            "type": str(ENTRIES[code].kind),
-            "probability": probability[code],
-        }
-        for code in np.argsort(-probability).tolist()
-        if probability[code] > _LEAST
-    ]
 
 
 def _frame_record(frame: Any) -> dict[str, Any]:

@@ -83,7 +83,7 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> tuple[n
     distance = np.linalg.norm(positions - middle, axis=1)
     unordered = is_unordered(poses)
     touches = count < _FEWEST or unordered
-    change = _acceleration(positions, rows.times) if rows.times is not None else 0.0
+    change = _acceleration(positions, np.asarray(rows.times))
     too_fast = f"the velocity changes by {change:.2g} m/s^2, more than"
     remedy = "give unit='mm' (--unit mm), for cm unit='cm'"
     advice = f"if the positions are in mm, {'correct the unit in the file' if rows.metres else remedy}"
@@ -120,11 +120,10 @@ def _near(rows: Rows, positions: np.ndarray) -> np.ndarray:
 
 
 def _acceleration(positions: np.ndarray, times: np.ndarray) -> float:
-    """Upper quartile of the acceleration, m/s^2."""
-    step = np.median(np.diff(times)) if len(times) > 1 else 0.0
-    if len(times) < 3 or not step > 0:
+    """Upper quartile of the acceleration, m/s^2, at increasing times; 0 for fewer than three."""
+    if len(times) < 3:
         return 0.0
-    lag = int(np.clip(np.ceil(_OVER / step), 1, (len(times) - 1) // 2))
+    lag = int(np.clip(np.ceil(_OVER / np.median(np.diff(times))), 1, (len(times) - 1) // 2))
     velocities = (positions[lag:] - positions[:-lag]) / (times[lag:] - times[:-lag])[:, None]
     changes = np.linalg.norm(velocities[lag:] - velocities[:-lag], axis=1)
     return float(np.quantile(changes / ((times[2 * lag :] - times[: -2 * lag]) / 2), 0.75))

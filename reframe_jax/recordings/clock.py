@@ -171,16 +171,13 @@ def drop_equal_times(rows: Rows) -> None:
 
     Files are refused in which most rows share their time with another row, or rows belong to several bodies.
     """
-    if rows.times is None or len(rows.times) < 2:
-        return
-    again = np.append(False, np.diff(rows.times) == 0)
-    if not again.any():
-        return
+    times = np.asarray(rows.times)
+    again = np.diff(times, prepend=np.nan) == 0
     first = np.maximum.accumulate(np.where(again, 0, np.arange(len(again))))
     same = again & (rows.values == rows.values[first]).all(axis=1)
     other = again & ~same
-    if other.any() and not np.ptp(rows.times):
-        stamp = rows.origin or f"{rows.times[0]:g}"
+    if other.any() and not np.ptp(times):
+        stamp = rows.origin or f"{times[0]:g}"
         raise RecordingError(
             f"{rows.path}: all times are {stamp} (never set); give the sample time, dt (--dt)."
         )
@@ -196,7 +193,7 @@ def drop_equal_times(rows: Rows) -> None:
         if apart > _STEPS * step:
             raise rows.error(
                 int(np.flatnonzero(other)[0]),
-                f"another pose at the same time, {rows.times[other][0]:g} s, as in {other.sum()} rows, "
+                f"another pose at the same time, {times[other][0]:g} s, as in {other.sum()} rows, "
                 "distant from the first: the file contains several bodies; keep the rows of one.",
             )
     rows.keep(~same, "the previous row is repeated", "repeated")

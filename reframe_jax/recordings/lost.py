@@ -41,16 +41,13 @@ _PAST = 200  # rows from which noise and speed are estimated
 class LostRun(NamedTuple):
     """Consecutive rows that are not poses.
 
-    Attributes:
-        start: first row.
-        stop: row after the last row.
-        kind: "missing" (not finite), "origin" (position 0, 0, 0), "identity" (the orientation is the
-            identity), "constant" (another number that repeats), "frozen" (repeats the previous pose), or
-            "end" (repeats the previous pose to the end of the recording).
+    The kind is "missing" (not finite), "origin" (position 0, 0, 0), "identity" (the orientation is the
+    identity), "constant" (another number that repeats), "frozen" (repeats the previous pose), or "end"
+    (repeats the previous pose to the end of the recording).
     """
 
     start: int
-    stop: int
+    stop: int  # row after the last row
     kind: str
 
 
@@ -292,7 +289,13 @@ def _mark_repeats(path: _Path, kinds: np.ndarray) -> None:
     lengths = stops - starts
     late = np.flatnonzero(lengths[:-1] > 1)
     frozen = np.zeros(len(lengths), bool)
-    frozen[late] = _goes_on(path.numbers[starts], path.steps[moving], lengths[:-1] - 1, late)
+    # the step after frozen rows is as long as the missed steps together; after few rows, it must be longer
+    steps, repeats, bends = path.steps[moving], lengths[late] - 1, _bends(path.numbers[starts])
+    usual = np.fmax(_largest_near(steps, late, _AHEAD), _quantile(steps, 0.5))
+    bend = np.fmax(_largest_near(bends, late, _AHEAD - 1), _usual_bend(steps, bends))
+    bend[repeats < _REPEATS] = np.inf
+    missed = np.minimum(0.5 * repeats, _SUDDEN) * usual
+    frozen[late] = steps[late] > usual + np.minimum(missed, _BENDS * bend) + _LEAST
     kinds[1:][np.repeat(frozen, lengths)[1:] & (path.steps == 0)] = "frozen"
     # a run before missing rows, or before the end, has no step after it that shows a motion
     last = np.append(path.gaps[moving], True)
@@ -301,20 +304,6 @@ def _mark_repeats(path: _Path, kinds: np.ndarray) -> None:
     for run in np.flatnonzero(last & (lengths > _REPEATS) & ~held):
         if _stops_dead(path, starts[run]):
             kinds[starts[run] + 1 : stops[run]] = "end" if stops[run] == count else "frozen"
-
-
-def _goes_on(numbers: np.ndarray, steps: np.ndarray, repeats: np.ndarray, late: np.ndarray) -> np.ndarray:
-    """Return whether steps after repeats are as long as the missed steps together, bool (L,).
-
-    The numbers (M+1, k) and steps (M,) contain no repeats. Before each step, ``repeats`` (M,) rows repeat;
-    ``late`` (L,) selects steps. After few repeats, the step must be half a step longer per repeat.
-    """
-    bends = _bends(numbers)
-    usual = np.fmax(_largest_near(steps, late, _AHEAD), _quantile(steps, 0.5))
-    bend = np.fmax(_largest_near(bends, late, _AHEAD - 1), _usual_bend(steps, bends))
-    bend[repeats[late] < _REPEATS] = np.inf
-    missed = np.minimum(0.5 * repeats[late], _SUDDEN) * usual
-    return steps[late] > usual + np.minimum(missed, _BENDS * bend) + _LEAST
 
 
 def _largest_near(numbers: np.ndarray, rows: np.ndarray, size: int) -> np.ndarray:

@@ -142,7 +142,12 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
         rows = reader.read(path, wanted)
         if "time_unit" not in reader.options:
             rows.seconds = 1.0
-        _apply_order(rows, wanted)
+        if wanted.quaternion is not None:
+            if rows.values.shape[1] != 7:
+                raise RecordingError(f"{path}: contains no quaternions; leave out {flag('quaternion')}.")
+            rows.values = rows.values.copy()
+            rows.values[:, 3:] = reorder(rows.values[:, 3:], rows.order, wanted.quaternion)
+            rows.order = wanted.quaternion
         ignored = dt is not None and rows.times is not None
         clock.make_times(rows, dt, wanted)
         checks.drop_unfinished(rows)
@@ -172,14 +177,3 @@ def _check_count(rows: Rows) -> None:
     if len(rows.values) < checks.MIN_POSES:
         problem = f"has {len(rows.values)} usable poses; expected {checks.MIN_POSES} or more."
         raise RecordingError(f"{rows.path}: " + " ".join([problem, *rows.notes[-3:]]))
-
-
-def _apply_order(rows: Rows, wanted: Selection) -> None:
-    """Convert quaternions to the order that the user gave."""
-    if wanted.quaternion is None:
-        return
-    if rows.values.shape[1] != 7:
-        raise RecordingError(f"{rows.path}: contains no quaternions; leave out {flag('quaternion')}.")
-    rows.values = rows.values.copy()
-    rows.values[:, 3:] = reorder(rows.values[:, 3:], rows.order, wanted.quaternion)
-    rows.order = wanted.quaternion
