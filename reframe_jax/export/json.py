@@ -8,16 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from reframe_jax.export.common import (
-    TYPES,
-    Window,
-    count_rows,
-    directions,
-    outlier_samples,
-    plain,
-    split_windows,
-    tied_names,
-)
+from reframe_jax.export import common
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.naming import constraint_of, name_of
 from reframe_jax.identification.results import Identification
@@ -35,7 +26,7 @@ SCHEMA = "reframe-jax/identification/3"
 
 
 def to_json(
-    found: Identification, *, label: str | None = None, windows: Sequence[Window] | None = None
+    found: Identification, *, label: str | None = None, windows: Sequence[common.Window] | None = None
 ) -> str:
     """Write a JSON document of one recording, see the page Exports; arguments as in :func:`to_table`."""
     return to_document([to_record(found, label=label, windows=windows)])
@@ -50,7 +41,7 @@ def to_record(
     found: Identification | None,
     *,
     label: str | None = None,
-    windows: Sequence[Window] | None = None,
+    windows: Sequence[common.Window] | None = None,
     recording: Recording | None = None,
     error: str | None = None,
 ) -> dict[str, Any]:
@@ -63,12 +54,12 @@ def to_record(
         recording: the recording, with its notes and the rows that were left out.
         error: why the recording could not be used.
     """
-    each = [] if found is None else split_windows(jax.device_get(found))
-    spans: Sequence[Window | None] = windows or [None] * len(each)
+    each = [] if found is None else common.split_windows(jax.device_get(found))
+    spans: Sequence[common.Window | None] = windows or [None] * len(each)
     records = (_window_record(*pair) for pair in zip(each, spans, strict=True))
     rows = None
     if recording is not None:
-        used, unused = count_rows(recording, each)
+        used, unused = common.count_rows(recording, each)
         left_out = [{"reason": some.reason, "why": some.why, "rows": some.rows.tolist()} for some in unused]
         rows = {"word": recording.row_word, "used": used, "left_out": left_out}
     return {
@@ -76,13 +67,13 @@ def to_record(
         "error": error,
         "notes": [] if recording is None else list(recording.notes),
         "rows": rows,
-        "windows": [{"index": index, **plain(record)} for index, record in enumerate(records)],
+        "windows": [{"index": index, **common.plain(record)} for index, record in enumerate(records)],
     }
 
 
-def _window_record(found: Identification, span: Window | None) -> dict[str, Any]:
+def _window_record(found: Identification, span: common.Window | None) -> dict[str, Any]:
     status = Status(int(found.status_code))
-    record: dict[str, Any] = {name: getattr(span, name, None) for name in Window.__dataclass_fields__}
+    record: dict[str, Any] = {name: getattr(span, name, None) for name in common.Window.__dataclass_fields__}
     record |= {"status": status.name, "message": status.message}
     if status.failed:
         return record | {"notes": []} | dict.fromkeys(_RESULT)
@@ -107,18 +98,18 @@ def _window_record(found: Identification, span: Window | None) -> dict[str, Any]
         "universal_axes": {"ground": ground, "body": body} if np.isfinite([ground, body]).all() else None,
         "noise": {"position": found.noise.position, "rotation": found.noise.rotation},
         "scale": found.scale,
-        "outliers": outlier_samples(found, span),
+        "outliers": common.outlier_samples(found, span),
     }
     candidates: dict[str, Any] = {}
-    for group, types in TYPES.items():
+    for group, types in common.TYPES.items():
         frame, others = getattr(found, group), getattr(found.candidates, group)
-        named = {"type": str(types(int(frame.type_code))), "tied": tied_names(group, frame)}
+        named = {"type": str(types(int(frame.type_code))), "tied": common.tied_names(group, frame)}
         more = {name: getattr(frame, name) for name in ("free_probability", "amplitude", "free_rotation")}
         record[group] = named | _frame_record(frame) | more
         candidates[group] = {
             str(kind): _frame_record(jax.tree.map(itemgetter(kind), others)) for kind in types
         }
-    record["linear"]["free_position"] = directions(np.asarray(found.linear.free_position))
+    record["linear"]["free_position"] = common.directions(np.asarray(found.linear.free_position))
     return record | {"candidates": candidates}
 
 

@@ -4,14 +4,7 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
-from reframe_jax.export.robots import (
-    RADIUS,
-    check_writable,
-    is_endless,
-    part_names,
-    quaternion_wxyz,
-    remarks,
-)
+from reframe_jax.export import robots
 from reframe_jax.joints.chain import PartKind
 from reframe_jax.joints.joint import Joint
 
@@ -26,7 +19,7 @@ def to_mjcf(joint: Joint, *, mass: float = 1.0) -> str:
     spec = to_mjspec(joint, mass=mass)
     spec.compile()
     text: str = spec.to_xml()
-    return f"<!--\n{remarks(joint)}\n-->\n{text}"
+    return f"<!--\n{robots.remarks(joint)}\n-->\n{text}"
 
 
 def to_mjspec(joint: Joint, *, mass: float = 1.0) -> "mujoco.MjSpec":
@@ -48,7 +41,7 @@ def to_mjspec(joint: Joint, *, mass: float = 1.0) -> "mujoco.MjSpec":
     """
     import mujoco  # the import takes a third of a second
 
-    check_writable(joint, "MJCF", mass)
+    robots.check_writable(joint, "MJCF", mass)
     kinds = {kind: getattr(mujoco.mjtJoint, f"mjJNT_{kind.upper()}") for kind in get_args(PartKind)}
     spec = mujoco.MjSpec()
     spec.modelname = f"{joint.parent}_{joint.child}"
@@ -56,17 +49,17 @@ def to_mjspec(joint: Joint, *, mass: float = 1.0) -> "mujoco.MjSpec":
     spec.compiler.autolimits = False
     parent = spec.worldbody.add_body(name=joint.parent)
     rotation, origin = joint.home[:3, :3], joint.home[:3, 3]
-    child = parent.add_body(name=joint.child, pos=origin, quat=quaternion_wxyz(rotation))
+    child = parent.add_body(name=joint.child, pos=origin, quat=robots.quaternion_wxyz(rotation))
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE
-    child.add_geom(type=sphere, size=(RADIUS, 0, 0), mass=mass, contype=0, conaffinity=0, rgba=_PALE)
-    for name, part in zip(part_names(joint), joint.parts, strict=True):
+    child.add_geom(type=sphere, size=(robots.RADIUS, 0, 0), mass=mass, contype=0, conaffinity=0, rgba=_PALE)
+    for name, part in zip(robots.part_names(joint), joint.parts, strict=True):
         axis = (0.0, 0.0, 1.0) if part.kind == "ball" else rotation.T @ part.axis
         child.add_joint(
             name=name,
             type=kinds[part.kind],
             axis=axis,
             pos=rotation.T @ (part.point - origin),
-            limited=not is_endless(part),
+            limited=not robots.is_endless(part),
             range=(part.low, part.high),
         )
         if part.pitch:

@@ -4,16 +4,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from reframe_jax.export.robots import (
-    LINK_MASS_FRACTION,
-    check_writable,
-    element,
-    is_endless,
-    part_names,
-    roll_pitch_yaw,
-    sphere_inertia,
-    to_text,
-)
+from reframe_jax.export import robots
+from reframe_jax.export.robots import element
 from reframe_jax.joints.joint import Joint
 
 _KINDS = {"hinge": "revolute", "slide": "prismatic", "ball": "ball"}
@@ -27,13 +19,13 @@ def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
     A cylindrical joint is a chain of a slide and a hinge; a planar joint is a chain of two slides and a
     hinge. SDF has no limits for balls. Arguments and errors as in :func:`to_mjspec`.
     """
-    check_writable(joint, "SDF", mass)
+    robots.check_writable(joint, "SDF", mass)
     root = ElementTree.Element("sdf", version="1.10" if joint.type == "screw" else "1.9")
     model = element(root, "model", name=f"{joint.parent}_{joint.child}")
     _add_link(model, joint.parent, np.zeros(6), mass)
     _add_joint(model, f"{joint.parent}_fixed", "fixed", "world", joint.parent)
-    place = np.concatenate([joint.home[:3, 3], roll_pitch_yaw(joint.home[:3, :3])])
-    names = part_names(joint)
+    place = np.concatenate([joint.home[:3, 3], robots.roll_pitch_yaw(joint.home[:3, :3])])
+    names = robots.part_names(joint)
     links = [*(f"{name}_link" for name in names[:-1]), joint.child]
     last = joint.parent
     for name, part, link in zip(names, joint.parts, links, strict=bool(names)):
@@ -41,14 +33,14 @@ def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
         if link == joint.child:
             _add_link(model, link, place, mass)
         else:
-            _add_link(model, link, at_point, LINK_MASS_FRACTION * mass)
-        kind = "continuous" if is_endless(part) else "screw" if part.pitch else _KINDS[part.kind]
+            _add_link(model, link, at_point, robots.LINK_MASS_FRACTION * mass)
+        kind = "continuous" if robots.is_endless(part) else "screw" if part.pitch else _KINDS[part.kind]
         made = _add_joint(model, name, kind, last, link)
         element(made, "pose", at_point, relative_to=_MODEL)
         if part.kind != "ball":
             axis = element(made, "axis")
             element(axis, "xyz", part.axis, expressed_in=_MODEL)
-            if not is_endless(part):
+            if not robots.is_endless(part):
                 limit = element(axis, "limit")
                 element(limit, "lower", part.low)
                 element(limit, "upper", part.high)
@@ -58,7 +50,7 @@ def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
     if not names:
         _add_link(model, joint.child, place, mass)
         _add_joint(model, f"{joint.child}_fixed", "fixed", joint.parent, joint.child)
-    return to_text(root, joint)
+    return robots.to_text(root, joint)
 
 
 def _add_joint(
@@ -77,5 +69,5 @@ def _add_link(model: ElementTree.Element, name: str, place: np.ndarray, mass: fl
     inertial = element(link, "inertial")
     element(inertial, "mass", mass)
     inertia = element(inertial, "inertia")
-    for entry, value in sphere_inertia(mass).items():
+    for entry, value in robots.sphere_inertia(mass).items():
         element(inertia, entry, value)

@@ -7,18 +7,7 @@ import jax
 import numpy as np
 
 from reframe_jax.constraints.types import BODY_NAMES, LinearType
-from reframe_jax.export.common import (
-    TYPES,
-    Window,
-    align_columns,
-    count_rows,
-    directions,
-    format_probability,
-    outlier_samples,
-    split_windows,
-    tied_names,
-    two_digits,
-)
+from reframe_jax.export import common
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import Identification
 from reframe_jax.joints.joint import format_vector
@@ -33,7 +22,7 @@ _LISTED = 6  # largest number of outliers listed in a line
 
 
 def to_table(
-    found: Identification, *, label: str | None = None, windows: Sequence[Window] | None = None
+    found: Identification, *, label: str | None = None, windows: Sequence[common.Window] | None = None
 ) -> str:
     """Format an identification as text: a paragraph for one window, one row per window for a batch.
 
@@ -51,14 +40,15 @@ def to_table(
     """
     host = jax.device_get(found)
     if np.ndim(host.status_code):
-        return "\n".join(_batch_table(split_windows(host), label, windows))
+        return "\n".join(_batch_table(common.split_windows(host), label, windows))
     status = Status(int(host.status_code))
     heading = f"{label}: {host.name}" if label else host.name
     if status.failed:
         return heading
     (window,) = windows or (None,)
-    blocks = [f"{heading} ({format_probability(host.probability)})", status.message, *host.warnings, ""]
-    for group in TYPES:
+    probability = common.format_probability(host.probability)
+    blocks = [f"{heading} ({probability})", status.message, *host.warnings, ""]
+    for group in common.TYPES:
         blocks += _frame_block(group, getattr(host, group))
     if np.isfinite(host.pitch):
         hand = "right" if host.pitch > 0 else "left"
@@ -72,7 +62,7 @@ def to_table(
 
 def rows_to_table(recording: Recording, found: Identification) -> str:
     """List the rows of a file that were left out, one line per reason; empty if all rows were used."""
-    used, unused = count_rows(recording, split_windows(jax.device_get(found)))
+    used, unused = common.count_rows(recording, common.split_windows(jax.device_get(found)))
     if not unused:
         return ""
     every = used + sum(len(each.rows) for each in unused)
@@ -82,8 +72,8 @@ def rows_to_table(recording: Recording, found: Identification) -> str:
 
 
 def _frame_block(group: str, frame: Any) -> list[str]:
-    kind = TYPES[group](int(frame.type_code))
-    others = [name for name in tied_names(group, frame) if name != str(kind)]
+    kind = common.TYPES[group](int(frame.type_code))
+    others = [name for name in common.tied_names(group, frame) if name != str(kind)]
     ties = f"; tied with {', '.join(others)}" if others else ""
     ties = " and ".join(ties.rsplit(", ", 1))
     if isinstance(kind, LinearType):
@@ -96,13 +86,13 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         freedom = "free" if frame.dof[i] else "constrained"
         likely = frame.free_probability[i] if frame.dof[i] else 1 - frame.free_probability[i]
         if likely < _CLEAR:
-            freedom += f" ({format_probability(likely)})"
-        size = f"RMS {two_digits(1e3 * frame.amplitude[i])} {_SIZES[group]}"
+            freedom += f" ({common.format_probability(likely)})"
+        size = f"RMS {common.two_digits(1e3 * frame.amplitude[i])} {_SIZES[group]}"
         speed = f"{_speed(frame.rms[i]):>8} {_UNITS[group]:5}"
         lines.append(f"  axis {i + 1}  {format_vector(axis, 3, 6)}  {speed}  {freedom}, {size}")
     if isinstance(kind, LinearType):
         lines.append(f"  origin  {format_vector(frame.position, 4)} m in the {origin_in}")
-        along = [format_vector(direction, 3) for direction in directions(frame.free_position)]
+        along = [format_vector(direction, 3) for direction in common.directions(frame.free_position)]
         if len(along) == 3:
             lines.append("          any position is valid; the one closest to the motion is given")
         elif along:
@@ -116,9 +106,9 @@ def _frame_block(group: str, frame: Any) -> list[str]:
     return [*lines, ""]
 
 
-def _noise_line(found: Identification, window: Window | None) -> str:
+def _noise_line(found: Identification, window: common.Window | None) -> str:
     """Format the noise of the poses, the smallest time scale, and the poses that were left out."""
-    scale, out = int(found.scale), outlier_samples(found, window)
+    scale, out = int(found.scale), common.outlier_samples(found, window)
     position, rotation = 1e3 * found.noise.position, np.degrees(found.noise.rotation)
     over = f"blocks of {scale} sample{'' if scale == 1 else 's'}"
     if window is not None:
@@ -140,7 +130,7 @@ def _speed(value: float) -> str:
 
 def _norms_block(found: Identification) -> list[str]:
     lines, tied = [], False
-    for group, types in TYPES.items():
+    for group, types in common.TYPES.items():
         frame = getattr(found, group)
         entries = []
         for kind in types:
@@ -153,7 +143,7 @@ def _norms_block(found: Identification) -> list[str]:
 
 
 def _batch_table(
-    each: list[Identification], label: str | None, windows: Sequence[Window] | None
+    each: list[Identification], label: str | None, windows: Sequence[common.Window] | None
 ) -> list[str]:
     columns = ["window", "name", "prob.", "angular", "linear", "origin [m]", "status"]
     rows = [_batch_row(index, found) for index, found in enumerate(each)]
@@ -170,7 +160,7 @@ def _batch_table(
     }
     return [
         f"{label}: {count}" if label else count,
-        *align_columns([columns, *rows]),
+        *common.align_columns([columns, *rows]),
         *(["~ tied: fits equally well"] if ties else []),
         *legend,
         *notes,
@@ -182,9 +172,9 @@ def _batch_row(index: int, found: Identification) -> list[str]:
     if status.failed:
         return [str(index), "-", "-", "-", "-", "-", status.name]
     kinds = []
-    for group, types in TYPES.items():
+    for group, types in common.TYPES.items():
         frame = getattr(found, group)
         kind = str(types(int(frame.type_code)))
-        kinds.append("~".join([kind, *(name for name in tied_names(group, frame) if name != kind)]))
+        kinds.append("~".join([kind, *(name for name in common.tied_names(group, frame) if name != kind)]))
     origin = format_vector(found.linear.position, 3, 6)
-    return [str(index), found.name, format_probability(found.probability), *kinds, origin, status.name]
+    return [str(index), found.name, common.format_probability(found.probability), *kinds, origin, status.name]

@@ -4,16 +4,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from reframe_jax.export.robots import (
-    LINK_MASS_FRACTION,
-    check_writable,
-    element,
-    is_endless,
-    part_names,
-    roll_pitch_yaw,
-    sphere_inertia,
-    to_text,
-)
+from reframe_jax.export import robots
+from reframe_jax.export.robots import element
 from reframe_jax.joints.chain import JointPart
 from reframe_jax.joints.joint import Joint
 
@@ -40,7 +32,7 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
         ValueError: for a ball whose rotations come near the gimbal lock of three hinges, a contact that
             allows every pose, a free body, or a mass that is not positive.
     """
-    check_writable(joint, "URDF", mass)
+    robots.check_writable(joint, "URDF", mass)
     try:
         joint = joint.without_balls()
     except ValueError as error:
@@ -50,9 +42,9 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
     element(element(robot, "mujoco"), "compiler", **compiler)
     element(robot, "link", name=joint.parent)
     last, place = joint.parent, np.zeros(3)
-    for name, part in zip(part_names(joint), joint.parts, strict=True):
+    for name, part in zip(robots.part_names(joint), joint.parts, strict=True):
         _add_part(robot, name, part, last, place)
-        _add_link(robot, f"{name}_link", LINK_MASS_FRACTION * mass)
+        _add_link(robot, f"{name}_link", robots.LINK_MASS_FRACTION * mass)
         last, place = f"{name}_link", part.point
         if part.pitch:
             low, high = sorted((part.pitch * part.low, part.pitch * part.high))
@@ -60,27 +52,27 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
             thread = f"{joint.child}_slide"
             made = _add_part(robot, thread, slide, last, place)
             element(made, "mimic", joint=name, multiplier=part.pitch, offset="0")
-            _add_link(robot, f"{thread}_link", LINK_MASS_FRACTION * mass)
+            _add_link(robot, f"{thread}_link", robots.LINK_MASS_FRACTION * mass)
             last = f"{thread}_link"
     mount = element(robot, "joint", name=f"{joint.child}_fixed", type="fixed")
-    _add_origin(mount, joint.home[:3, 3] - place, roll_pitch_yaw(joint.home[:3, :3]))
+    _add_origin(mount, joint.home[:3, 3] - place, robots.roll_pitch_yaw(joint.home[:3, :3]))
     element(mount, "parent", link=last)
     element(mount, "child", link=joint.child)
     _add_link(robot, joint.child, mass)
-    return to_text(robot, joint)
+    return robots.to_text(robot, joint)
 
 
 def _add_part(
     robot: ElementTree.Element, name: str, part: JointPart, last: str, place: np.ndarray
 ) -> ElementTree.Element:
     """Add a hinge or slide to a link whose origin has a given position in the parent."""
-    kind = "prismatic" if part.kind == "slide" else "continuous" if is_endless(part) else "revolute"
+    kind = "prismatic" if part.kind == "slide" else "continuous" if robots.is_endless(part) else "revolute"
     made = element(robot, "joint", name=name, type=kind)
     _add_origin(made, part.point - place, np.zeros(3))
     element(made, "parent", link=last)
     element(made, "child", link=f"{name}_link")
     element(made, "axis", xyz=part.axis)
-    limits = {} if is_endless(part) else {"lower": part.low, "upper": part.high}
+    limits = {} if robots.is_endless(part) else {"lower": part.low, "upper": part.high}
     element(made, "limit", effort=_EFFORT, velocity=_VELOCITY, **limits)
     return made
 
@@ -89,7 +81,7 @@ def _add_link(robot: ElementTree.Element, name: str, mass: float) -> None:
     """Add a link with the inertia of a sphere at its origin."""
     inertial = element(element(robot, "link", name=name), "inertial")
     element(inertial, "mass", value=mass)
-    element(inertial, "inertia", **sphere_inertia(mass))
+    element(inertial, "inertia", **robots.sphere_inertia(mass))
 
 
 def _add_origin(joint: ElementTree.Element, place: np.ndarray, angles: np.ndarray) -> None:

@@ -73,13 +73,6 @@ class _Header:
             )
         return found[0] if found else None
 
-    @property
-    def clock(self) -> tuple[int, int] | None:
-        """The columns of seconds and nanoseconds of a stamp, or None."""
-        plain = [plain_name(title) for title in self.titles]
-        found = [_matches(pattern, plain) for pattern in _CLOCK]
-        return (found[0][0], found[1][0]) if all(len(each) == 1 for each in found) else None
-
     def all(self, patterns: Sequence[str]) -> list[int] | None:
         """Return the columns of several names, or None if a name is missing."""
         found = [self.find(pattern) for pattern in patterns]
@@ -116,7 +109,7 @@ def read_table(path: Path, wanted: Selection) -> Rows:
         position, orientation = ([titles.index(each.name) for each in columns] for columns in chosen)
     else:
         position, orientation = _find_columns(header, wanted)
-    time = header.clock or _find_time(header, first)
+    time = _find_time(header, first)
     frame = header.find(_FRAMES) if time is None else None
     if frame is not None and not "".join(first[frame : frame + 1]).isdecimal():
         frame = None  # a name
@@ -198,8 +191,12 @@ def _titles(line: str, delimiter: str | None) -> list[str]:
     return titles if len(titles) > 1 else trim(split(text, find_delimiter(text)))
 
 
-def _find_time(header: _Header, first: list[str]) -> int | None:
-    """Return the column of the time; ``first`` is the first row."""
+def _find_time(header: _Header, first: list[str]) -> int | tuple[int, int] | None:
+    """Return the column of the time, or those of seconds and nanoseconds; ``first`` is the first row."""
+    plain = [plain_name(title) for title in header.titles]
+    clock = [_matches(pattern, plain) for pattern in _CLOCK]
+    if all(len(each) == 1 for each in clock):
+        return clock[0][0], clock[1][0]
     times = [i for i in map(header.find, _TIMES) if i is not None]
     if not times:
         return header.find(_DATE)
