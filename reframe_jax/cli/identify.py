@@ -141,7 +141,7 @@ def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns
         recording = read_recording(path, options)
         found, windows = identify_recording(recording, options)
         tables.append(to_columns(found, label=str(path), windows=windows))
-        _show_result(recording, found, windows, options)
+        _print_and_draw(recording, found, windows, options)
         if options.window is None:
             write_joint_files(recording, found, options)
     except Exception as error:  # an error in one file must not stop the other files
@@ -158,7 +158,7 @@ def _thresholds(options: argparse.Namespace) -> Thresholds | None:
     return Thresholds(**given) if given else None
 
 
-def _show_result(
+def _print_and_draw(
     recording: Recording, found: Identification, windows: list[Window], options: argparse.Namespace
 ) -> None:
     """Print the table, the rows that were left out, and the explanation, and draw the picture.
