@@ -18,8 +18,7 @@ def to_mjcf(joint: Joint, *, mass: float = 1.0) -> str:
     """Return a joint as an MJCF document; arguments and errors as in :func:`to_mjspec`."""
     spec = to_mjspec(joint, mass=mass)
     spec.compile()
-    text: str = spec.to_xml()
-    return f"<!--\n{robots.remarks(joint)}\n-->\n{text}"
+    return f"<!--\n{robots.remarks(joint)}\n-->\n{spec.to_xml()}"
 
 
 def to_mjspec(joint: Joint, *, mass: float = 1.0) -> "mujoco.MjSpec":

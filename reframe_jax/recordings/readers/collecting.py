@@ -69,10 +69,11 @@ def collect(
         if time is not None:
             cell = _stamp(cells, time)
             seconds = _number(path, number, cell)
-            if origin is None and math.isfinite(seconds):
-                origin = decimal.Decimal(0) if abs(seconds) < EPOCH else _exactly(cell)
-            if origin and math.isfinite(seconds):
-                seconds = float(_EXACT.subtract(_exactly(cell), origin))
+            if math.isfinite(seconds) and (origin or origin is None):
+                exact = _EXACT.create_decimal(cell.replace("_", ""))  # with all digits
+                if origin is None:
+                    origin = decimal.Decimal(0) if abs(seconds) < EPOCH else exact
+                seconds = float(_EXACT.subtract(exact, origin)) if origin else seconds
             times.append(seconds)
     numbers = np.asarray(values).reshape(-1, len(every))
     return Rows(
@@ -115,11 +116,6 @@ def _stamp(cells: list[str], time: int | tuple[int, int]) -> str:
     moment = moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
     since = moment - datetime.datetime.fromtimestamp(0, datetime.UTC)
     return f"{since.days * 86400 + since.seconds}.{since.microseconds:06d}"
-
-
-def _exactly(cell: str) -> decimal.Decimal:
-    """Convert a cell to a decimal number, with all its digits."""
-    return _EXACT.create_decimal(cell.replace("_", ""))
 
 
 def drop_zeros(rows: Rows, values: np.ndarray) -> None:
