@@ -33,10 +33,10 @@ _WHY = {
     "frozen": "the previous pose is repeated while the body moved on",
     "end": "the last pose is repeated exactly while the body was moving",
 }
-_FEW, _MOST_LOST = 10, 0.5  # fewest poses, and fewest fraction of poses, of which one must remain
+_FEW, _FEW_FRACTION = 10, 0.5  # fewest poses, and fewest fraction of poses, of which one must remain
 _JUMP, _JUMPS = 2.5, 8  # length of jumps over the longest other step, and most jumps in a note
 _CLOSE = 0.02  # m, largest position of lost poses that are close to the identity
-_BODY = 0.3  # m, of a body; converts an angle to a length
+_SIZE = 0.3  # m, of a body; converts an angle to a length
 _TURN = 0.2  # length of a jump over its angle times the size, below which the angle is given
 
 
@@ -251,7 +251,7 @@ def leave_out_lost(rows: Rows, poses: np.ndarray) -> np.ndarray:
             jump = f"; the pose jumps {_distance(poses[longest.stop - 1], poses[after[0]])}{back}"
         note = f"{name_rows(rows.word, where[mine])} left out, as tracking was lost: {why}{jump}."
         rows.keep(~np.isin(rows.where, where[mine]), why, kind, note)
-    if kept.sum() < _FEW and kept.sum() < _MOST_LOST * len(poses):
+    if kept.sum() < _FEW and kept.sum() < _FEW_FRACTION * len(poses):
         raise RecordingError(
             f"{rows.path}: only {kept.sum()} of {len(poses)} poses are left; " + " ".join(rows.notes[-2:])
         )
@@ -269,7 +269,7 @@ def _distance(before: np.ndarray, after: np.ndarray) -> str:
     """Distance of two poses in words: a length, or an angle if the body hardly changes its position."""
     moved = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
     turned = float(np.linalg.norm(rotation_vectors(after[:3, :3] @ before[:3, :3].T)))
-    if moved < _TURN * _BODY * turned or moved == 0:
+    if moved < _TURN * _SIZE * turned or moved == 0:
         size, unit = float(np.degrees(turned)), "deg"
     else:
         size, unit = (moved, "m") if moved >= 0.1 else (1e3 * moved, "mm")
