@@ -70,12 +70,9 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> tuple[n
     order. Positions that are too far apart for a body in the unit of the file are refused.
     """
     kept = _near(rows, poses[:, :3, 3])
-    rows.keep(
-        kept,
-        f"more than {_DISTANT:g} m and {_APART:g} times farther away than all other positions"
-        + ("; if the unit is wrong, give unit (--unit)" if rows.metres is None else ""),
-        "far",
-    )
+    hint = "; if the unit is wrong, give unit (--unit)" if rows.metres is None else ""
+    why = f"more than {_DISTANT:g} m and {_APART:g} times farther away than all other positions{hint}"
+    rows.keep(kept, why, "far")
     poses = poses[kept]
     positions, count = poses[:, :3, 3], len(poses)
     middle = np.median(positions, axis=0)

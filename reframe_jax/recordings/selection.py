@@ -1,6 +1,7 @@
 """The options that select data of a file, with the same names in Python and on the command line."""
 
 import math
+from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal, get_args
@@ -18,13 +19,8 @@ ANGLE_UNITS: dict[str, float] = {"rad": 1.0, "deg": math.pi / 180}
 QUATERNIONS: tuple[str, ...] = get_args(Quaternion)
 ANGLES: tuple[str, ...] = get_args(Angles)
 
-_CHOICES = {
-    "unit": tuple(UNITS),
-    "time_unit": tuple(TIME_UNITS),
-    "quaternion": QUATERNIONS,
-    "angles": ANGLES,
-    "angle_unit": tuple(ANGLE_UNITS),
-}
+_UNITS = {"unit": UNITS, "time_unit": TIME_UNITS, "angle_unit": ANGLE_UNITS}
+_CHOICES: dict[str, Collection[str]] = {**_UNITS, "quaternion": QUATERNIONS, "angles": ANGLES}
 _FLAGS = {"from_frame": "--from", "to_frame": "--to", "in_body": "--in"}
 
 
@@ -63,7 +59,7 @@ class Selection:
 
 def unit_of(path: Path, wanted: Selection, option: str, stated: float | None = None) -> float:
     """Return the unit in m, s or rad that the file states, or else the user; refuse different units."""
-    units = {"unit": UNITS, "time_unit": TIME_UNITS, "angle_unit": ANGLE_UNITS}[option]
+    units = _UNITS[option]
     name = getattr(wanted, option)
     given = next(iter(units.values())) if name is None else units[name]
     if stated is None:
