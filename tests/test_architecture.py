@@ -180,7 +180,6 @@ def test_public_arguments_have_types() -> None:
     methods = {
         "Demonstration.__getitem__",
         "BasinHopping.minimise",
-        "ValleySteps.__call__",
         "Joint.__init__",
     }
     assert {"simulate", *methods} <= set(callables)

@@ -52,14 +52,6 @@ def _angle(rotvec: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     return jnp.where(small, squared, 0.0), small, jnp.sqrt(jnp.where(small, 1.0, squared))
 
 
-def _matrix(coefficient: jax.Array) -> jax.Array:
-    return coefficient[..., None, None]
-
-
-def _identity_like(matrix: jax.Array) -> jax.Array:
-    return jnp.broadcast_to(jnp.eye(3, dtype=matrix.dtype), matrix.shape)
-
-
 def hat(vector: jax.Array) -> jax.Array:
     """Return the matrices [w]x (..., 3, 3) of vectors w (..., 3), such that ``hat(w) @ x == cross(w, x)``."""
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
@@ -68,12 +60,12 @@ def hat(vector: jax.Array) -> jax.Array:
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _hat_squared(vector: jax.Array) -> jax.Array:
-    """``hat(w) @ hat(w)`` by components, because products of many small matrices are slow."""
-    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
-    xx, yy, zz = x * x, y * y, z * z
-    rows = ((-yy - zz, x * y, x * z), (x * y, -xx - zz, y * z), (x * z, y * z, -xx - yy))
-    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+def _polynomial(vector: jax.Array, first: jax.Array, second: jax.Array) -> jax.Array:
+    """I + first [v]x + second [v]x^2 by components, because products of many small matrices are slow."""
+    unit = jnp.broadcast_to(jnp.eye(3, dtype=vector.dtype), (*vector.shape, 3))
+    first, second, square = (x[..., None, None] for x in (first, second, _squared_length(vector)))
+    outer = vector[..., :, None] * vector[..., None, :]
+    return unit + first * hat(vector) + second * (outer - square * unit)
 
 
 def vee(matrix: jax.Array) -> jax.Array:
@@ -88,8 +80,7 @@ def rotation_exp(rotvec: jax.Array) -> jax.Array:
     squared, small, angle = _angle(rotvec)
     sinc = jnp.where(small, _series(squared, _SINC), jnp.sin(angle) / angle)
     versine = jnp.where(small, _series(squared, _VERSINE), (1 - jnp.cos(angle)) / angle**2)
-    w = hat(rotvec)
-    return _identity_like(w) + _matrix(sinc) * w + _matrix(versine) * _hat_squared(rotvec)
+    return _polynomial(rotvec, sinc, versine)
 
 
 def rotation_log(rotation: jax.Array) -> jax.Array:
@@ -98,15 +89,16 @@ def rotation_log(rotation: jax.Array) -> jax.Array:
     The length of a vector is at most pi. A half turn has two vectors, with opposite signs; the function
     returns one of them, with finite derivatives.
     """
-    x, y, z, w = _quaternion(rotation)
-    squared = x * x + y * y + z * z
+    quaternion = rotation_to_quaternion(rotation)
+    vector, w = quaternion[..., :3], quaternion[..., 3]
+    squared = _squared_length(vector)
     small = squared < 1e-2
     length = jnp.sqrt(jnp.where(small, 1.0, squared))
     w_small = jnp.where(small, w, 1.0)
     # angle / sin(angle / 2) = 2 atan2(|vector|, w) / |vector|
     series = 2 / w_small * _series(squared / w_small**2, _ARCTANGENT)
     factor = jnp.where(small, series, 2 * jnp.arctan2(length, w) / length)
-    return factor[..., None] * jnp.stack([x, y, z], axis=-1)
+    return factor[..., None] * vector
 
 
 def left_jacobian(rotvec: jax.Array) -> jax.Array:
@@ -117,19 +109,12 @@ def left_jacobian(rotvec: jax.Array) -> jax.Array:
     squared, small, angle = _angle(rotvec)
     versine = jnp.where(small, _series(squared, _VERSINE), (1 - jnp.cos(angle)) / angle**2)
     slack = jnp.where(small, _series(squared, _SLACK), (angle - jnp.sin(angle)) / angle**3)
-    w = hat(rotvec)
-    return _identity_like(w) + _matrix(versine) * w + _matrix(slack) * _hat_squared(rotvec)
+    return _polynomial(rotvec, versine, slack)
 
 
 def quaternion_to_rotation(quaternion: jax.Array) -> jax.Array:
     """Convert unit quaternions (..., 4), as (x, y, z, w), to rotation matrices (..., 3, 3)."""
-    x, y, z, w = (quaternion[..., i] for i in range(4))
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-    )
-    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+    return _polynomial(quaternion[..., :3], 2 * quaternion[..., 3], jnp.full_like(quaternion[..., 3], 2))
 
 
 def rotation_to_quaternion(rotation: jax.Array) -> jax.Array:
@@ -138,10 +123,6 @@ def rotation_to_quaternion(rotation: jax.Array) -> jax.Array:
     The matrix ``4 q q^T`` is linear in the rotation matrix. The function normalizes its row with the largest
     diagonal entry, which is at least 1 (Shepperd's method), so it never divides by a small number.
     """
-    return jnp.stack(_quaternion(rotation), axis=-1)
-
-
-def _quaternion(rotation: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     r = [[rotation[..., i, j] for j in range(3)] for i in range(3)]
     diagonal = (
         1 + r[0][0] - r[1][1] - r[2][2],
@@ -166,4 +147,4 @@ def _quaternion(rotation: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, j
     x, y, z, w = row
     length = jnp.sqrt(x * x + y * y + z * z + w * w)
     length = jnp.where(w < 0, -length, length)
-    return x / length, y / length, z / length, w / length
+    return jnp.stack([x / length, y / length, z / length, w / length], axis=-1)

@@ -18,7 +18,7 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.geometry.small import times
+from reframe_jax.geometry.small import axial, times
 from reframe_jax.motion.paths import mean_twists, step_twists
 
 __all__ = [
@@ -121,8 +121,7 @@ def velocity_components(
 
 def turns_of(rotation: jax.Array) -> jax.Array:
     """Return axis times sine of the angle, (3, K, ...), of the steps between rotations (3, 3, K+1, ...)."""
-    turn = times(jnp.swapaxes(rotation[:, :, :-1], 0, 1), rotation[:, :, 1:])
-    return jnp.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
+    return -axial(times(jnp.swapaxes(rotation[:, :, :-1], 0, 1), rotation[:, :, 1:])) / 2
 
 
 def _twist_map(twist: jax.Array) -> jax.Array:

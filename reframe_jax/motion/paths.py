@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.geometry.small import cross, materialize, times, total, trace
+from reframe_jax.geometry.small import axial, cross, materialize, times, total, trace
 
 Array = jax.Array
 _STENCIL = 7  # samples in the derivative of the twist
@@ -21,9 +21,8 @@ _EVEN = 5  # longest over shortest step, above which derivatives across them amp
 def _logarithm(turn: Array) -> tuple[Array, Array]:
     """Rotation vectors (3, ...) below a half turn, and (1 - (x / 2) cot(x / 2)) / x^2 of their angles x."""
     tiny = jnp.finfo(turn.dtype).eps ** 2
-    vee = jnp.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     half_cosine = jnp.sqrt(jnp.maximum(1 + trace(turn), tiny)) / 2
-    half_sine = vee / (4 * half_cosine)  # of the half angle, times the axis
+    half_sine = -axial(turn) / (4 * half_cosine)  # of the half angle, times the axis
     squared = total(half_sine * half_sine, 0)
     small = squared < 1e-4
     length = jnp.sqrt(jnp.where(small, 1.0, squared))

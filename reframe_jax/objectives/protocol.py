@@ -90,13 +90,3 @@ def check_objective(objective: Any) -> None:
                 f"{name}{jax.tree_util.keystr(path)} has the shape {shape}. Use a static field for data that "
                 "is common to all problems."
             )
-
-
-def require_moments(objective: Any, unknowns: str, solver: str) -> MomentsObjective:
-    """Return a :class:`MomentsObjective` over "frame" or "position"; raise a ValueError for others."""
-    if isinstance(objective, MomentsObjective) and objective.unknowns == unknowns:
-        return objective
-    raise ValueError(
-        f"{solver} minimize norms given by moments (a {unknowns.capitalize()}Objective), not a "
-        f"{type(objective).__name__}; NewtonSteps and OptaxSteps minimize any objective."
-    )

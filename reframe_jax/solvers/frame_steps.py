@@ -22,11 +22,10 @@ from reframe_jax.geometry.products import matmul
 from reframe_jax.geometry.small import rotate
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean
-from reframe_jax.objectives.protocol import MomentsObjective, Objective, require_moments
 from reframe_jax.objectives.velocity import FrameObjective
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.newton_steps import derivatives, steps_in_box, take_best_steps
-from reframe_jax.solvers.protocol import minimise_each
+from reframe_jax.solvers.protocol import MomentsSteps
 
 _Frame = tuple[jax.Array, jax.Array]  # axes (3, 3), columns of E, and origin (3,)
 
@@ -43,29 +42,18 @@ def _aligning_rotation(s: jax.Array) -> jax.Array:
 
 
 @dataclass(frozen=True)
-class FrameSteps:
+class FrameSteps(MomentsSteps):
     """Local minimizer of a :class:`FrameObjective`: orientation and origin together, any power mean.
 
-    The origin stays in the box. The orientation is unbounded; the box bounds only its start.
+    The unknowns are rotation vectors, rad, and, for linear velocities, origins, m: (dim, ...). The origin
+    stays in the box. The orientation is unbounded; the box bounds only its start.
 
     Attributes:
         steps: number of steps, equal for all problems of a batch.
     """
 
     steps: int = 10
-
-    def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Minimize every :class:`MomentsObjective` over frames; see :data:`LocalMinimiser`.
-
-        The starts x are rotation vectors, rad, and, for linear velocities, origins, m: (dim, ...).
-
-        Raises:
-            ValueError: for another objective.
-        """
-        known = self.check(objective)
-        norm = FrameObjective(known.moments, known.exponent)
-        found, _ = minimise_each(self._minimise_one, norm, box, x)
-        return found, objective.value(found)
+    _norm = FrameObjective
 
     def _minimise_one(self, norm: FrameObjective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         free = jnp.full(3, jnp.inf, x.dtype)
@@ -111,12 +99,3 @@ class FrameSteps:
         start = rotations.rotation_exp(x[:3]), x[3:]
         (axes, origin), value = take_best_steps(start, level(start), steps_at, move, self.steps)
         return jnp.concatenate([rotations.rotation_log(axes), origin]), value
-
-    @staticmethod
-    def check(objective: Objective) -> MomentsObjective:
-        """Return the objective if these steps can minimize it.
-
-        Raises:
-            ValueError: for another objective; the message names a minimizer that works.
-        """
-        return require_moments(objective, "frame", "FrameSteps")

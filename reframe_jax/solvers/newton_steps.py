@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box
-from reframe_jax.solvers.protocol import minimise_each
+from reframe_jax.solvers.protocol import BatchSteps
 
 _POWERS = (0.0, 1.0, 2.0, 3.0, 6.0)  # exponents s of the Newton steps on J^s
 _PARTS = (1.0, 0.25, 0.05)  # fractions of the descent step for an indefinite Hessian
@@ -95,7 +95,7 @@ def take_best_steps(
 
 
 @dataclass(frozen=True)
-class NewtonSteps:
+class NewtonSteps(BatchSteps):
     """Local minimizer of any :class:`Objective`, by Newton steps over all unknowns together.
 
     Attributes:
@@ -103,10 +103,6 @@ class NewtonSteps:
     """
 
     steps: int = 30
-
-    def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Minimize every problem from starts x, (dim, ...); see :data:`LocalMinimiser`."""
-        return minimise_each(self._minimise_one, objective, box, x)
 
     def _minimise_one(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         def steps_at(x: jax.Array) -> jax.Array:

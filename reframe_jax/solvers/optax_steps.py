@@ -9,11 +9,11 @@ import optax
 
 from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box
-from reframe_jax.solvers.protocol import minimise_each
+from reframe_jax.solvers.protocol import BatchSteps
 
 
 @dataclass(frozen=True)
-class OptaxSteps:
+class OptaxSteps(BatchSteps):
     """Local minimizer of any :class:`Objective`, by the updates of an Optax gradient transformation.
 
     The unknowns stay in the box, because the updates act on :meth:`Box.unfold` of the unknowns.
@@ -26,10 +26,6 @@ class OptaxSteps:
 
     transformation: optax.GradientTransformation
     steps: int = 60
-
-    def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Minimize every problem from starts x, (dim, ...); see :data:`LocalMinimiser`."""
-        return minimise_each(self._minimise_one, objective, box, x)
 
     def _minimise_one(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         transformation = optax.with_extra_args_support(self.transformation)

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.objectives.protocol import Objective
+from reframe_jax.objectives.protocol import MomentsObjective, Objective
+from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 from reframe_jax.solvers.box import Box
 
 _T = TypeVar("_T")
@@ -61,14 +62,47 @@ def repeat_problems(tree: _T, axes: int, count: int) -> _T:
     return jax.tree.map(repeat, tree)
 
 
-def minimise_each(
-    minimise_one: Callable[[Any, Box, jax.Array], tuple[jax.Array, jax.Array]],
-    objective: Objective,
-    box: Box,
-    x: jax.Array,
-) -> tuple[jax.Array, jax.Array]:
-    """Apply a minimizer of one problem, from a start (dim,), to every problem, from starts x, (dim, ...)."""
-    batch = x.shape[1:]
-    flat = jax.tree.map(lambda a: a.reshape(*a.shape[: a.ndim - len(batch)], -1), (objective, x))
-    found, values = jax.vmap(minimise_one, in_axes=(-1, None, -1), out_axes=-1)(flat[0], box, flat[1])
-    return found.reshape(x.shape), values.reshape(batch)
+class BatchSteps:
+    """Base of the local minimizers: apply the method for one problem to every problem of a batch."""
+
+    def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Minimize every problem from starts x, (dim, ...); see :data:`LocalMinimiser`."""
+        batch = x.shape[1:]
+        flat = jax.tree.map(lambda a: a.reshape(*a.shape[: a.ndim - len(batch)], -1), (objective, x))
+        one = jax.vmap(self._minimise_one, in_axes=(-1, None, -1), out_axes=-1)
+        found, values = one(flat[0], box, flat[1])
+        return found.reshape(x.shape), values.reshape(batch)
+
+    def _minimise_one(self, objective: Any, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Minimize one problem from a start x, (dim,)."""
+        raise NotImplementedError
+
+
+class MomentsSteps(BatchSteps):
+    """Base of the minimizers of norms that are given by moments."""
+
+    _norm: ClassVar[type[PositionObjective] | type[FrameObjective]]
+
+    def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Minimize every :class:`MomentsObjective` from starts x, (dim, ...); see :data:`LocalMinimiser`.
+
+        Raises:
+            ValueError: for another objective.
+        """
+        known = self.check(objective)
+        found, _ = super().__call__(self._norm(known.moments, known.exponent), box, x)
+        return found, objective.value(found)
+
+    @classmethod
+    def check(cls, objective: Objective) -> MomentsObjective:
+        """Return the objective if these steps can minimize it.
+
+        Raises:
+            ValueError: for another objective; the message names a minimizer that works.
+        """
+        if isinstance(objective, MomentsObjective) and objective.unknowns == cls._norm.unknowns:
+            return objective
+        raise ValueError(
+            f"{cls.__name__} minimize norms given by moments (a {cls._norm.__name__}), not a "
+            f"{type(objective).__name__}; NewtonSteps and OptaxSteps minimize any objective."
+        )

@@ -12,35 +12,22 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.objectives.protocol import MomentsObjective, Objective, require_moments
 from reframe_jax.objectives.velocity import PositionObjective, log_norm
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.newton_steps import derivatives, steps_in_box, take_best_steps
-from reframe_jax.solvers.protocol import minimise_each
+from reframe_jax.solvers.protocol import MomentsSteps
 
 
 @dataclass(frozen=True)
-class ValleySteps:
-    """Local minimizer of a :class:`PositionObjective`: the origin of a frame.
+class ValleySteps(MomentsSteps):
+    """Local minimizer of a :class:`PositionObjective`: the origin of a frame, (3, ...) m.
 
     Attributes:
         steps: number of steps, equal for all problems of a batch.
     """
 
     steps: int = 12
-
-    def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Minimize every :class:`MomentsObjective` over origins; see :data:`LocalMinimiser`.
-
-        The starts x are origins, (3, ...) m.
-
-        Raises:
-            ValueError: for another objective.
-        """
-        known = self.check(objective)
-        norm = PositionObjective(known.moments, known.exponent)
-        found, _ = minimise_each(self._minimise_one, norm, box, x)
-        return found, objective.value(found)
+    _norm = PositionObjective
 
     def _minimise_one(self, norm: PositionObjective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         def steps_at(x: jax.Array) -> jax.Array:
@@ -63,12 +50,3 @@ class ValleySteps:
             return there, norm.value(there)
 
         return take_best_steps(x, norm.value(x), steps_at, move, self.steps)
-
-    @staticmethod
-    def check(objective: Objective) -> MomentsObjective:
-        """Return the objective if these steps can minimize it.
-
-        Raises:
-            ValueError: for another objective; the message names a minimizer that works.
-        """
-        return require_moments(objective, "position", "ValleySteps")

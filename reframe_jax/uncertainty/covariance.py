@@ -15,7 +15,16 @@ from reframe_jax.geometry import rotations
 from reframe_jax.identification.options import Scales
 from reframe_jax.identification.preparation import Prepared
 from reframe_jax.identification.results import Identification, Index
-from reframe_jax.uncertainty.refit import BLOCKS, HALVES, LENGTHS, THIRDS, Refit, Windows, refit_windows
+from reframe_jax.uncertainty.refit import (
+    BLOCKS,
+    EACH_PART,
+    HALVES,
+    LENGTHS,
+    THIRDS,
+    Refit,
+    Windows,
+    refit_windows,
+)
 from reframe_jax.uncertainty.spread import blocks, parts_with_prior, spread_of_fit, student_variance, widen
 from reframe_jax.uncertainty.windows import over_windows
 
@@ -175,7 +184,9 @@ def _window_covariances(
     angles = jnp.sqrt(jnp.diagonal(matrix, axis1=1, axis2=2))
     small = jnp.max(angles[:, :6], axis=1) < _LARGE_TURN
     near = jnp.max(angles[:, 6:], axis=1) < _LARGE_SHIFT * window.box
-    failed = (window.status >= 10) | ~jnp.isfinite(windows.found.position[:, 0])
+    # with thresholds, free axes may have no entry in the table
+    known = (windows.found.entry_code >= 0) & jnp.isfinite(windows.found.linear.position[:, 0])
+    failed = (window.status >= 10) | ~known
     matrix = jnp.where(failed[:, None, None], jnp.nan, matrix)
     return Covariance(matrix, jnp.where(failed[:, None], jnp.nan, inflation), small & near & ~failed)
 
@@ -186,7 +197,7 @@ def _combine_parts(refit: Refit, *, parts: str) -> tuple[jax.Array, jax.Array]:
         rest = refit.numbers[1:] - jnp.mean(refit.numbers[1:], axis=0)
         matrix = rest.T @ rest * (BLOCKS - 1) / BLOCKS * student_variance(jnp.asarray(BLOCKS - 1.0))
         return matrix, jnp.ones(3, matrix.dtype)
-    own, redundant, white = refit.each_part(spread_of_fit)
+    own, redundant, white = jax.vmap(spread_of_fit, in_axes=(EACH_PART,))(refit)
     matrix = own[0]
     if parts == "whole":
         return matrix, jnp.ones(3, matrix.dtype)

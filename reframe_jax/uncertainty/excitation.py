@@ -119,13 +119,13 @@ def _window_excitations(window: Prepared, windows: Windows, *, scales: tuple[int
     coupled = entry.pitch[:, None] & (jnp.arange(6) == 5)
     free = ~jnp.asarray(entry.held) | coupled
     motions, steady = jax.vmap(_independent_motions)(gram, mean, noise, free)
-    failed = (window.status >= 10) | (found.code < 0)
-    number = jnp.sum(found.angular_dof, axis=1) + jnp.sum(found.linear_dof, axis=1)
+    failed = (window.status >= 10) | (found.entry_code < 0)
+    number = jnp.sum(found.angular.dof, axis=1) + jnp.sum(found.linear.dof, axis=1)
     return Excitation(
         free=jnp.where(failed, 0, number),
         motions=jnp.where(failed, 0, motions),
         steady=steady & ~failed & (number > 0),
-        named=jnp.asarray(_NAMED)[found.code] & ~failed,
+        named=jnp.asarray(_NAMED)[found.entry_code] & ~failed,
     )
 
 

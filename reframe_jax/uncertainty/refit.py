@@ -4,7 +4,6 @@ A covariance has nine components: a rotation of the angular axes and of the line
 in the bodies of their types (rad), and a shift of the origin (m).
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -13,7 +12,7 @@ import numpy as np
 
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
 from reframe_jax.geometry.rotations import vee
-from reframe_jax.identification.classify import free_rotations
+from reframe_jax.identification.frames import AngularFrame, LinearFrame
 from reframe_jax.identification.preparation import Prepared, prepare_windows
 from reframe_jax.identification.results import Identification
 from reframe_jax.model.fit import Data, Parameters, fit_entry, ground_axes, move
@@ -35,29 +34,18 @@ _IN_GROUND = np.array([path in ("GG", "BG") for path in PATHS])  # origins of en
 
 
 class Estimate(NamedTuple):
-    """The identified frames of N windows; fields as in :class:`Identification`, axes (N, 3, 3)."""
+    """What the fit starts from: fields of the :class:`Identification` of N windows."""
 
-    code: Array
-    angular_type: Array
-    angular_axes: Array
-    angular_dof: Array
-    linear_type: Array
-    linear_axes: Array
-    linear_dof: Array
-    position: Array
-    free_position: Array
+    entry_code: Array
+    angular: AngularFrame
+    linear: LinearFrame
     pitch: Array
     universal_axes: Array
 
 
 def estimate_of(found: Identification, dtype: np.dtype) -> Estimate:
     """Extract the start of the fit from an identification, in the precision of the poses."""
-    angular, linear = found.angular, found.linear
-    frames = (
-        *(angular.type_code, angular.axes, angular.dof, linear.type_code, linear.axes, linear.dof),
-        *(linear.position, linear.free_position),
-    )
-    values = jax.tree.map(jnp.asarray, Estimate(found.entry_code, *frames, found.pitch, found.universal_axes))
+    values = jax.tree.map(jnp.asarray, Estimate(*(getattr(found, name) for name in Estimate._fields)))
     return jax.tree.map(lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, values)
 
 
@@ -103,15 +91,12 @@ class Refit(NamedTuple):
 
     def of_whole(self) -> "Refit":
         """Return the fit of one whole window, without the axis of parts."""
-        return self.with_parts(jax.tree.map(lambda leaf: leaf[0], self[:5]))
+        leaves: Any = (*jax.tree.map(lambda leaf: leaf[0], self[:5]), *self[5:])
+        return Refit(*leaves)
 
-    def with_parts(self, leaves: tuple[Any, ...]) -> "Refit":
-        """Replace the fields that have an axis of parts."""
-        return self._replace(**dict(zip(self._fields, leaves, strict=False)))
 
-    def each_part(self, function: Callable[["Refit"], Any]) -> Any:
-        """Apply a function of the fit of one part to the M parts of one window."""
-        return jax.vmap(lambda *leaves: function(self.with_parts(leaves)))(*self[:5])
+EACH_PART = Refit(0, 0, 0, 0, 0, None, None)  # type: ignore[arg-type]
+"""Axes for ``jax.vmap`` over the parts of one window."""
 
 
 def prepare(
@@ -124,14 +109,8 @@ def prepare(
     """
     window = jax.lax.stop_gradient(prepare_windows(poses, steps, count, None, scales))
     used = choose_scales(window.moments, window.noise, scales)
-    # the mean rotation of the features is damped, by up to a milliradian
-    weight = window.counted.astype(window.poses.dtype)[:, :, None, None]
-    u, _, v = jnp.linalg.svd(jnp.sum(weight * window.poses[:, :, :3, :3], axis=1))
-    mean = (u * jnp.where(jnp.arange(3) == 2, jnp.linalg.det(u @ v)[:, None], 1)[:, None]) @ v
-    # with thresholds, free axes may have no entry in the table
-    known = found.code[:, None] >= 0
-    found = found._replace(position=jnp.where(known, found.position, jnp.nan))
-    entry = jax.vmap(entries_at)(jnp.maximum(found.code, 0))
+    mean = window.features.mean_rotation
+    entry = jax.vmap(entries_at)(jnp.maximum(found.entry_code, 0))
     start = jax.vmap(_start)(found, window.centre, mean, entry)
     return window, Windows(window.box, used, mean, entry, start, found)
 
@@ -206,9 +185,10 @@ def _fit_window(window: Windows, products: Array, details: Array, poses: Array) 
     def numbers(parameters: Parameters) -> Array:
         axes, origin = _frames(parameters, mean, found, entry)
         turns, shift = vee(axes @ jnp.swapaxes(whole[0], 1, 2)), origin - whole[1]
-        angular = _distinct(found.angular_axes, found.angular_dof) @ turns[0]
-        linear = _distinct(found.linear_axes, found.linear_dof) @ turns[1]
-        return jnp.concatenate([angular, linear, shift - found.free_position @ shift])
+        # only rotations that change the constraint
+        angular = (found.angular.axes * ~found.angular.free_rotation) @ found.angular.axes.T @ turns[0]
+        linear = (found.linear.axes * ~found.linear.free_rotation) @ found.linear.axes.T @ turns[1]
+        return jnp.concatenate([angular, linear, shift - found.linear.free_position @ shift])
 
     def slopes(parameters: Parameters) -> Array:
         return jax.jacfwd(lambda step: numbers(move(parameters, step, box)))(jnp.zeros(9, products.dtype))
@@ -225,9 +205,9 @@ def _start(found: Estimate, centre: Array, mean: Array, entry: Table) -> Paramet
         return jnp.where(body == int(AngularType.G), mean.T @ axes, axes)
 
     found = jax.tree.map(lambda x: jnp.nan_to_num(x), found)  # failed windows contain NaN
-    angular = in_body(found.angular_axes, found.angular_type)
-    linear = in_body(found.linear_axes, jnp.asarray(ORIENTATION_BODIES)[found.linear_type])
-    turns, slides = jnp.sum(found.angular_dof), jnp.sum(found.linear_dof)
+    angular = in_body(found.angular.axes, found.angular.type_code)
+    linear = in_body(found.linear.axes, jnp.asarray(ORIENTATION_BODIES)[found.linear.type_code])
+    turns, slides = jnp.sum(found.angular.dof), jnp.sum(found.linear.dof)
     axis = jnp.where(turns == 1, angular[:, 2], jnp.where(slides == 1, linear[:, 2], linear[:, 0]))
     # the free direction of a pin in a slot is the second column; otherwise any normal linear axis is valid
     cosines = jnp.abs(linear.T @ axis)
@@ -238,8 +218,8 @@ def _start(found: Estimate, centre: Array, mean: Array, entry: Table) -> Paramet
     first = jnp.where(entry.crossed, body, jnp.cross(second, axis))
     axes = jnp.stack([first, second, jnp.cross(first, second)], axis=1)
     lean = jnp.where(entry.crossed, jnp.arctan2(first @ ground, axes[:, 2] @ ground), 0)
-    in_ground = jnp.asarray(POSITION_BODIES)[found.linear_type] == int(AngularType.G)
-    origin = found.position - jnp.where(in_ground, centre, 0)
+    in_ground = jnp.asarray(POSITION_BODIES)[found.linear.type_code] == int(AngularType.G)
+    origin = found.linear.position - jnp.where(in_ground, centre, 0)
     origin = _in_other_body(origin, mean, in_ground, jnp.asarray(_IN_GROUND)[entry.path])
     return Parameters(axes, origin, jnp.stack([0 * lean, lean]), jnp.where(entry.pitch, found.pitch, 0))
 
@@ -248,14 +228,14 @@ def _frames(parameters: Parameters, mean: Array, found: Estimate, entry: Table) 
     """Angular and linear axes (2, 3, 3) and the origin (3,), each in the body of its type."""
     bodies = jnp.stack([ground_axes(parameters, mean), parameters.axes])
     # a universal joint does not turn about the normal of its two axes
-    to_ground = jnp.where(found.angular_type == int(AngularType.G), mean, jnp.eye(3, dtype=mean.dtype))
+    to_ground = jnp.where(found.angular.type_code == int(AngularType.G), mean, jnp.eye(3, dtype=mean.dtype))
     second = to_ground @ bodies[1][:, 0]
     odd = jnp.cross(to_ground @ mean.T @ bodies[0][:, 2], second)
     odd = odd / jnp.sqrt(jnp.sum(odd * odd) + 1e-30)
     universal = jnp.stack([odd, second, jnp.cross(odd, second)], axis=1)
-    angular = jnp.where(entry.crossed, universal, bodies[found.angular_type])
-    linear = bodies[jnp.asarray(ORIENTATION_BODIES)[found.linear_type]]
-    in_ground = jnp.asarray(POSITION_BODIES)[found.linear_type] == int(AngularType.G)
+    angular = jnp.where(entry.crossed, universal, bodies[found.angular.type_code])
+    linear = bodies[jnp.asarray(ORIENTATION_BODIES)[found.linear.type_code]]
+    in_ground = jnp.asarray(POSITION_BODIES)[found.linear.type_code] == int(AngularType.G)
     origin = _in_other_body(parameters.origin, mean, jnp.asarray(_IN_GROUND)[entry.path], in_ground)
     return jnp.stack([angular, linear]), origin
 
@@ -264,8 +244,3 @@ def _in_other_body(origin: Array, mean: Array, in_ground: Array, to_ground: Arra
     """Express an origin (3,) in the ground or the body, at the mean pose; only joints have it in both."""
     moved = jnp.where(to_ground, mean @ origin, mean.T @ origin)
     return jnp.where(in_ground == to_ground, origin, moved)
-
-
-def _distinct(axes: Array, dof: Array) -> Array:
-    """Projector (3, 3) onto the rotations of a frame that change the constraint."""
-    return (axes * ~free_rotations(dof)) @ axes.T

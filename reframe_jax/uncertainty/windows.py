@@ -50,14 +50,19 @@ def over_windows(
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = take_steps(array, times, dt).astype(array.dtype)
         estimate = estimate_of(found, array.dtype)
-        program = _program_in_trace if inside_trace((array, steps, estimate)) else _program
+        tracing = inside_trace((array, steps, estimate))
+        program = _program_in_trace if tracing else _program
         run = partial(program, function=function, scales=take_scales(scales, array.shape[-3]), **static)
         batch = array.shape[:-3]
         steps = (np if wide else jnp).broadcast_to(steps, (*batch, array.shape[-3] - 1))
-        flat = jax.tree.map(
+        array, steps, estimate = jax.tree.map(
             lambda leaf: leaf.reshape((-1, *leaf.shape[len(batch) :])), (array, steps, estimate)
         )
-        result = _in_pieces(run, *flat)
+        if tracing:
+            result = run(array, steps, None, estimate)
+        else:
+            most = _CHUNK.get(jax.default_backend(), 256)
+            result = run_in_pieces(run, array, steps, estimate, most, True)
         result = jax.tree.map(lambda leaf: leaf.reshape((*batch, *leaf.shape[1:])), result)
     if wide and not in_float64():
         return jax.device_put(jax.tree.map(_narrow, jax.device_get(result)))
@@ -72,12 +77,6 @@ def _run(
 
 
 _program, _program_in_trace = jit_pair(_run, ("function", "scales", "parts"))
-
-
-def _in_pieces(run: Callable[..., Any], poses: Any, steps: Any, found: Estimate) -> Any:
-    if inside_trace((poses, steps, found)):
-        return run(poses, steps, None, found)
-    return run_in_pieces(run, poses, steps, found, _CHUNK.get(jax.default_backend(), 256), True)
 
 
 def _narrow(leaf: Any) -> Any:
