@@ -128,14 +128,20 @@ def test_no_function_hides_a_module() -> None:
     assert not hidden, hidden
 
 
+def members_of(thing: type) -> dict[str, Any]:
+    """Members of a class, also those that it inherits from classes of this package."""
+    own = [base for base in reversed(thing.__mro__) if base.__module__.startswith("reframe_jax")]
+    members = {m: None for base in own for m in getattr(base, "__annotations__", {})}
+    return members | {m: value for base in own for m, value in vars(base).items()}
+
+
 def signature(name: str) -> str:
     thing = getattr(reframe_jax, name)
     if callable(thing) and not inspect.isclass(thing):
         parameters = inspect.signature(thing).parameters.values()
         return f"{name}({', '.join(('*' if p.kind == p.KEYWORD_ONLY else '') + p.name for p in parameters)})"
     if inspect.isclass(thing):
-        members = [m for m in vars(thing) if not m.startswith("_")]
-        members += [f for f in getattr(thing, "__annotations__", {}) if f not in members]
+        members = [m for m in members_of(thing) if not m.startswith("_")]
         return f"class {name}: {', '.join(sorted(members))}"
     return f"{name}: {type(thing).__name__}"
 
@@ -152,10 +158,15 @@ def public_callables() -> dict[str, Callable[..., Any]]:
         for public in module.__all__:
             thing = getattr(module, public)
             if inspect.isclass(thing):
-                for method in vars(thing):
-                    member = inspect.unwrap(getattr(thing, method))
+                for method in members_of(thing):
+                    member = inspect.unwrap(getattr(thing, method, None))
                     shown = method in ("__init__", "__call__", "__getitem__") or method[0] != "_"
-                    if shown and inspect.isroutine(member) and member.__module__ != "typing":
+                    if (
+                        shown
+                        and callable(member)
+                        and inspect.isroutine(member)
+                        and member.__module__ != "typing"
+                    ):
                         found[f"{public}.{method}"] = member
             elif inspect.isroutine(inspect.unwrap(thing)):
                 found[public] = inspect.unwrap(thing)
@@ -180,6 +191,7 @@ def test_public_arguments_have_types() -> None:
     methods = {
         "Demonstration.__getitem__",
         "BasinHopping.minimise",
+        "ValleySteps.__call__",
         "Joint.__init__",
     }
     assert {"simulate", *methods} <= set(callables)

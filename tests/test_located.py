@@ -54,13 +54,19 @@ def test_both_twists_are_one(label: str, rng: np.random.Generator) -> None:
 def test_frames_of_a_batch_may_differ_in_type(rng: np.random.Generator) -> None:
     frames = [frame_of(label, rng) for label in "KL"]
     together = assemble_frame(
-        jnp.asarray([int(frame.angular_type) for frame in frames]),
-        jnp.asarray([int(frame.linear_type) for frame in frames]),
-        angular_axes=jnp.stack([frame.angular_axes for frame in frames]),
-        linear_axes=jnp.stack([frame.linear_axes for frame in frames]),
-        position=jnp.stack([frame.position for frame in frames]),
-        angular_dof=np.array([frame.angular_dof for frame in frames]),
-        linear_dof=np.array([frame.linear_dof for frame in frames]),
+        (
+            jnp.asarray([int(frame.angular_type) for frame in frames]),
+            jnp.asarray([int(frame.linear_type) for frame in frames]),
+        ),
+        (
+            jnp.stack([frame.angular_axes for frame in frames]),
+            jnp.stack([frame.linear_axes for frame in frames]),
+        ),
+        jnp.stack([frame.position for frame in frames]),
+        (
+            np.array([frame.angular_dof for frame in frames]),
+            np.array([frame.linear_dof for frame in frames]),
+        ),
     )
     expected: Frame = jax.tree.map(lambda *leaves: jnp.stack(leaves), *map(frame_arrays, frames))
     for got, want in zip(jax.tree.leaves(together), jax.tree.leaves(expected), strict=True):

@@ -25,12 +25,10 @@ def covariance_from(moments, position):
     return to_matrix(covariance_at(moments, tuple(jnp.moveaxis(position, -1, 0))))
 
 
-def direct(maps, position, weights=None):
+def direct(maps, position):
     """The same by its definition."""
     u = maps[..., 0] + np.einsum("...kij,...j->...ki", maps[..., 1:], position)
-    weights = np.ones(u.shape[:-1]) if weights is None else weights
-    weights = weights / np.sum(weights, axis=-1, keepdims=True)
-    return np.einsum("...k,...ki,...kj->...ij", weights, u, u)
+    return np.einsum("...ki,...kj->...ij", u, u) / u.shape[-2]
 
 
 def scale_of(maps, position):
@@ -62,19 +60,6 @@ def test_covariance_of_any_map_at_any_position(seed, position, size):
     position = np.array(position)
     tolerance = 8 * np.finfo(float).eps * scale_of(maps, position)
     np.testing.assert_allclose(covariance(maps, position), direct(maps, position), atol=tolerance)
-
-
-def test_weights(rng):
-    maps, position = rng.normal(size=(3, 12, 3, 4)), rng.normal(size=(3, 3))
-    weights = rng.uniform(0, 2, size=(3, 12))
-    weights[:, :4] = 0  # as if these samples were not there
-    moments = moments_of(maps, weights)
-    found = covariance_from(moments, position)
-    np.testing.assert_allclose(found, direct(maps, position, weights), rtol=1e-12, atol=1e-12)
-    left_out = moments_of(maps[:, 4:], weights[:, 4:])
-    np.testing.assert_allclose(moments, left_out, atol=1e-14)
-    even = moments_of(maps, np.full((3, 12), 0.3))
-    np.testing.assert_allclose(even, moments_of(maps), atol=1e-14)
 
 
 def test_shapes(rng):

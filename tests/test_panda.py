@@ -12,7 +12,7 @@ from reframe_jax.constraints.located import frame_arrays
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation import metrics
 from reframe_jax.simulation.arm.demonstration import sampling
-from reframe_jax.simulation.arm.guide import find_excitation
+from reframe_jax.simulation.arm.guide import EXCITATIONS
 from reframe_jax.simulation.arm.rollout import Track, rollout_status
 
 BATCH = 8  # one compiled program for this module
@@ -282,7 +282,7 @@ def test_the_hand_leaves_no_free_direction_at_rest() -> None:
     @jax.jit
     @jax.vmap
     def twists(key: jax.Array) -> jax.Array:
-        return jnp.concatenate(jax.vmap(find_excitation("exciting", key, free))(times), axis=-1)
+        return jnp.concatenate(jax.vmap(EXCITATIONS["exciting"](key, free))(times), axis=-1)
 
     moved = np.asarray(twists(jax.random.split(jax.random.key(0), 300)))
     for kind, threshold in (

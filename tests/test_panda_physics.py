@@ -16,7 +16,7 @@ from reframe_jax.constraints.located import frame_arrays, ground_twist, locate, 
 from reframe_jax.geometry import transforms
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation.arm import demonstration, guide
-from reframe_jax.simulation.arm.guide import demonstration_keys, find_excitation, guide_drive
+from reframe_jax.simulation.arm.guide import EXCITATIONS, demonstration_keys, guide_drive
 from reframe_jax.simulation.arm.rollout import Steps, hold, integrate
 
 KEY = jax.random.key(11)
@@ -147,7 +147,7 @@ def test_mechanism_and_exact_form_agree(label: str, monkeypatch: pytest.MonkeyPa
     truth = jax.tree.map(lambda leaf: leaf[0], exact.truth)
     frame, home = frame_arrays(truth), jnp.asarray(panda.PANDA.home)
     _, hand_key, excitation_key, _ = demonstration_keys(KEY, jnp.zeros(1, jnp.uint32))[0]
-    excitation = find_excitation("exciting", excitation_key, frame.free)
+    excitation = EXCITATIONS["exciting"](excitation_key, frame.free)
     drive = guide_drive(hand_key, frame, excitation, step)
 
     @jax.jit

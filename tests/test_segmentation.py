@@ -10,9 +10,9 @@ import reframe_jax as rf
 from benchmarks.segmentation_cases import Sequence, move_through, simulate_sequences, simulate_single
 from reframe_jax.geometry.numpy_rotations import rotation_matrices
 from reframe_jax.segmentation.bank import Bank
-from reframe_jax.segmentation.borders import place_border
 from reframe_jax.segmentation.cells import Cells, make_cells
 from reframe_jax.segmentation.chance import find_stops, with_chance
+from reframe_jax.segmentation.entry import place_border
 from reframe_jax.segmentation.pieces import Piece, find_pieces, join_pieces
 from reframe_jax.segmentation.rows import fit_spans
 from reframe_jax.segmentation.sequence import Coverage, columns_of, likeliest

@@ -23,7 +23,7 @@ from planted_problems import (
 from reframe_jax.objectives.moments import velocity_moments
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 from reframe_jax.solvers import BasinHopping, Box, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
-from reframe_jax.solvers.seeds import suggested_starts
+from reframe_jax.solvers.basin_hopping import suggested_starts
 
 
 @pytest.fixture(scope="module")

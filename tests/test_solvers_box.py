@@ -6,7 +6,7 @@ import numpy as np
 from planted_problems import KEY
 
 from reframe_jax.solvers import Box
-from reframe_jax.solvers.seeds import quasi_random
+from reframe_jax.solvers.basin_hopping import quasi_random
 
 
 class TestSeeds:

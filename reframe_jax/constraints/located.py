@@ -73,44 +73,29 @@ def fixed_on_body(frame: ConstraintFrame) -> tuple[bool, bool, bool]:
 
 
 def assemble_frame(
-    angular_type: ArrayLike,
-    linear_type: ArrayLike,
-    *,
-    angular_axes: jax.Array,
-    linear_axes: jax.Array,
+    types: tuple[ArrayLike, ArrayLike],
+    axes: tuple[jax.Array, jax.Array],
     position: jax.Array,
-    angular_dof: ArrayLike | tuple[int, ...],
-    linear_dof: ArrayLike | tuple[int, ...],
+    dof: tuple[ArrayLike | tuple[int, ...], ArrayLike | tuple[int, ...]],
 ) -> Frame:
     """Build frames from codes (...) of ``AngularType`` and ``LinearType``, which may vary in a batch.
 
-    Axes, position and degrees of freedom are those of a :class:`ConstraintFrame`, with axes (..., 3, 3).
+    Axes, position and degrees of freedom are those of a :class:`ConstraintFrame`, with axes (..., 3, 3);
+    pairs are angular, then linear.
     """
     batch = position.shape[:-1]
-    free = jnp.concatenate([jnp.asarray(angular_dof), jnp.asarray(linear_dof)], axis=-1)
-    turning = jnp.asarray(angular_type) == int(AngularType.B)
-    linear = jnp.asarray(_LINEAR_ON_BODY)[jnp.asarray(linear_type)]
+    free = jnp.concatenate([jnp.asarray(part) for part in dof], axis=-1)
+    turning = jnp.asarray(types[0]) == int(AngularType.B)
+    linear = jnp.asarray(_LINEAR_ON_BODY)[jnp.asarray(types[1])]
     fixed = jnp.concatenate([turning[..., None], linear], axis=-1)
-    return Frame(
-        angular_axes=angular_axes,
-        linear_axes=linear_axes,
-        position=position,
-        free=jnp.broadcast_to(free.astype(position.dtype), (*batch, 6)),
-        on_body=jnp.broadcast_to(fixed, (*batch, 3)),
-    )
+    free = jnp.broadcast_to(free.astype(position.dtype), (*batch, 6))
+    return Frame(*axes, position, free, jnp.broadcast_to(fixed, (*batch, 3)))
 
 
 def frame_arrays(frame: ConstraintFrame) -> Frame:
     """Convert a constraint frame to arrays, with the batch axes of its geometry."""
-    return assemble_frame(
-        frame.angular_type,
-        frame.linear_type,
-        angular_axes=frame.angular_axes,
-        linear_axes=frame.linear_axes,
-        position=frame.position,
-        angular_dof=frame.angular_dof,
-        linear_dof=frame.linear_dof,
-    )
+    types, dof = (frame.angular_type, frame.linear_type), (frame.angular_dof, frame.linear_dof)
+    return assemble_frame(types, (frame.angular_axes, frame.linear_axes), frame.position, dof)
 
 
 def multiply(matrix: jax.Array, right: jax.Array) -> jax.Array:

@@ -45,28 +45,6 @@ def pivots(s: Symmetric) -> Vector:
     return xx, y, z
 
 
-def _rotate(
-    values: list[jax.Array], off: dict[tuple[int, int], jax.Array], axes: list[Vector], i: int, j: int
-) -> None:
-    """Apply one Jacobi rotation in the plane (i, j), in place, which makes off[i, j] zero."""
-    k = 3 - i - j
-    ij = (i, j)
-    ik, jk = (min(i, k), max(i, k)), (min(j, k), max(j, k))
-    b = off[ij]
-    half = (values[j] - values[i]) / 2
-    # t = tan of the smaller rotation angle, in a form without overflow and division by zero
-    root = jnp.abs(half) + jnp.hypot(half, b)
-    t = jnp.where(b == 0, 0, jnp.where(half < 0, -b, b) / jnp.where(b == 0, 1, root))
-    c = 1 / jnp.sqrt(1 + t * t)
-    s = t * c
-    values[i], values[j] = values[i] - t * b, values[j] + t * b
-    off[ij] = jnp.zeros_like(b)
-    off[ik], off[jk] = c * off[ik] - s * off[jk], s * off[ik] + c * off[jk]
-    x, y = axes[i], axes[j]
-    axes[i] = (c * x[0] - s * y[0], c * x[1] - s * y[1], c * x[2] - s * y[2])
-    axes[j] = (s * x[0] + c * y[0], s * x[1] + c * y[1], s * x[2] + c * y[2])
-
-
 @custom_jvp
 def eigh(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
     """Compute the eigenvalues, in any order, and the unit eigenvectors, by cyclic Jacobi rotations.
@@ -75,18 +53,26 @@ def eigh(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
     function is differentiable; the derivative of eigenvectors with equal eigenvalues is undefined and set to
     zero. The results are three arrays, and three vectors with three arrays each.
     """
+
+    def turn(_: int, carry: tuple) -> tuple:  # type: ignore[type-arg]
+        """Rotate the first two axes so that xy becomes zero, then make the first axis the last."""
+        (x, y, z), (xy, xz, yz), (first, second, third) = carry
+        half = (y - x) / 2
+        # t = tan of the smaller rotation angle, in a form without overflow and division by zero
+        root = jnp.abs(half) + jnp.hypot(half, xy)
+        t = jnp.where(xy == 0, 0, jnp.where(half < 0, -xy, xy) / jnp.where(xy == 0, 1, root))
+        cosine = 1 / jnp.sqrt(1 + t * t)
+        sine = t * cosine
+        pairs = list(zip((*first, xz), (*second, yz), strict=True))
+        *first, xz = (cosine * a - sine * b for a, b in pairs)
+        *second, yz = (sine * a + cosine * b for a, b in pairs)
+        vectors = tuple(second), third, tuple(first)
+        return (y + t * xy, z, x - t * xy), (yz, jnp.zeros_like(xy), xz), vectors
+
     zero, one = jnp.zeros_like(s[0]), jnp.ones_like(s[0])
-
-    def sweep(carry: tuple, _: None) -> tuple[tuple, None]:  # type: ignore[type-arg]
-        values, (xy, xz, yz), axes = list(carry[0]), carry[1], list(carry[2])
-        off = {(0, 1): xy, (0, 2): xz, (1, 2): yz}
-        for i, j in ((0, 1), (0, 2), (1, 2)):
-            _rotate(values, off, axes, i, j)
-        return (tuple(values), (off[0, 1], off[0, 2], off[1, 2]), tuple(axes)), None
-
     axes = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
     start = ((s[0], s[3], s[5]), (s[1], s[2], s[4]), axes)
-    (values, _, vectors), _ = lax.scan(sweep, start, length=_JACOBI_SWEEPS)
+    values, _, vectors = lax.fori_loop(0, 3 * _JACOBI_SWEEPS, turn, start)
     return values, vectors
 
 

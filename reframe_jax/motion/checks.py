@@ -16,51 +16,53 @@ _SHORTEST, _LONGEST = 1e-9, 1e6  # s, shortest and longest step
 _SLACK = 1e-3  # relative tolerance of these limits, for rounding errors
 
 
-class Status(IntEnum):
-    """Outcome of one window. A window with a code of 10 or more has no result; its numbers are NaN."""
+class MessageCode(IntEnum):
+    """Base of integer codes with a message for people."""
 
-    OK = 0
-    ON_BOUNDS = 1
-    NOT_EXCITED = 2
-    NOT_FINITE = 10
-    NOT_A_POSE = 11
-    TIMES_NOT_INCREASING = 12
-    NO_MOTION = 13
-    OUT_OF_RANGE = 14
+    message: str
+
+    def __new__(cls, code: int, message: str = "") -> "MessageCode":
+        """Make a code with a message, which explains the outcome."""
+        made = int.__new__(cls, code)
+        made._value_, made.message = code, message
+        return made
+
+
+class Status(MessageCode):
+    """Outcome of one window. A window with a code of 10 or more has no result; its numbers are NaN.
+
+    The message of a code explains the outcome, and the expected input.
+    """
+
+    OK = 0, "A frame was identified."
+    ON_BOUNDS = (
+        1,
+        "The position is on the boundary of the search: the true position may be outside (widen `bounds`), "
+        "or the motion does not determine the position.",
+    )
+    NOT_EXCITED = (
+        2,
+        "No axis is free: the body was held, or its motion is too small compared with the noise (with "
+        "`thresholds`: too slow) to distinguish free from constrained axes.",
+    )
+    NOT_FINITE = 10, "The window contains NaN or infinite numbers; expected finite poses and times."
+    NOT_A_POSE = (
+        11,
+        "A pose is not a rigid transform; expected 4x4 matrices [R p; 0 0 0 1] with R a rotation "
+        f"(R^T R = I to {ROTATION_TOLERANCE:g}, det R = +1).",
+    )
+    TIMES_NOT_INCREASING = 12, "Sample times do not increase; expected every step dt > 0."
+    NO_MOTION = 13, "All poses of the window are equal; expected a window with motion."
+    OUT_OF_RANGE = (
+        14,
+        f"Numbers are too large or too small; expected positions within {_FARTHEST:g} m, "
+        f"steps from {_SHORTEST:g} to {_LONGEST:g} s, and no extremely large or small motion.",
+    )
 
     @property
     def failed(self) -> bool:
         """Whether the window has no result: the code is 10 or more."""
         return self >= 10
-
-    @property
-    def message(self) -> str:
-        """Explanation of the outcome, and the expected input."""
-        return _MESSAGES[self]
-
-
-_MESSAGES = {
-    Status.OK: "A frame was identified.",
-    Status.ON_BOUNDS: (
-        "The position is on the boundary of the search: the true position may be outside (widen `bounds`), "
-        "or the motion does not determine the position."
-    ),
-    Status.NOT_EXCITED: (
-        "No axis is free: the body was held, or its motion is too small compared with the noise (with "
-        "`thresholds`: too slow) to distinguish free from constrained axes."
-    ),
-    Status.NOT_FINITE: "The window contains NaN or infinite numbers; expected finite poses and times.",
-    Status.NOT_A_POSE: (
-        "A pose is not a rigid transform; expected 4x4 matrices [R p; 0 0 0 1] with R a rotation "
-        f"(R^T R = I to {ROTATION_TOLERANCE:g}, det R = +1)."
-    ),
-    Status.TIMES_NOT_INCREASING: "Sample times do not increase; expected every step dt > 0.",
-    Status.NO_MOTION: "All poses of the window are equal; expected a window with motion.",
-    Status.OUT_OF_RANGE: (
-        f"Numbers are too large or too small; expected positions within {_FARTHEST:g} m, "
-        f"steps from {_SHORTEST:g} to {_LONGEST:g} s, and no extremely large or small motion."
-    ),
-}
 
 
 def check_step(step: float) -> None:

@@ -107,13 +107,15 @@ def velocity_components(
         raise ValueError(f"discretization must be 'chord' or 'left', not {discretization!r}.")
     rotation, position = split_poses(poses)
     steps = _step_times(dt, poses)
-    step = jnp.moveaxis(steps, -1, 0)[None, None]
+    step, inverse = jnp.moveaxis(steps, -1, 0)[None, None], jnp.swapaxes(rotation, 0, 1)
     body, spatial = _twists(rotation, position, steps, brackets=discretization == "left")
     bb, gg = (_twist_map(twist) for twist in (body, spatial))
     if discretization == "left":
-        gb, bg = times(rotation[:, :, :-1], bb), times(jnp.swapaxes(rotation, 0, 1)[:, :, :-1], gg)
+        gb, bg = times(rotation[:, :, :-1], bb), times(inverse[:, :, :-1], gg)
     else:
-        in_ground, in_body = _point_maps(rotation, position)
+        in_ground = jnp.concatenate([position[:, None], rotation], axis=1)
+        # a point p of the ground is R^T (p - x) in the body; relative to the body, it moves the opposite way
+        in_body = jnp.concatenate([times(inverse, position)[:, None], -inverse], axis=1)
         gb, bg = jnp.diff(in_ground, axis=2) / step, jnp.diff(in_body, axis=2) / step
     rates = jnp.stack([spatial[:3], body[:3]], axis=2)
     return rates[:, None], jnp.stack([bb, gb, gg, bg], axis=3)
@@ -130,14 +132,6 @@ def _twist_map(twist: jax.Array) -> jax.Array:
     zero = jnp.zeros_like(x)
     rows = v[0], zero, -z, y, v[1], z, zero, -x, v[2], -y, x, zero
     return jnp.stack(rows).reshape(3, 4, *x.shape)
-
-
-def _point_maps(rotation: jax.Array, position: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Maps (3, 4, K+1, ...) of points of the body to the ground, and of points of the ground to the body."""
-    inverse = jnp.swapaxes(rotation, 0, 1)
-    in_ground = jnp.concatenate([position[:, None], rotation], axis=1)
-    # a point p of the ground is R^T (p - x) in the body; relative to the body, it moves the opposite way
-    return in_ground, jnp.concatenate([times(inverse, position)[:, None], -inverse], axis=1)
 
 
 def angular_velocities(

@@ -34,23 +34,17 @@ def masked_median(values: jax.Array, counted: jax.Array) -> jax.Array:
     # relative to the largest value, float32 is exact enough, and comparisons are twice as fast
     fractions = jnp.where(counted, values / top[None], jnp.inf).astype(jnp.float32)
     half = jnp.sum(counted, axis=0, dtype=jnp.float32) / 2
-    low, high = _bisect(fractions, half)
-    median = top * jnp.exp2(high.astype(top.dtype))
-    return jnp.where((half > 0) & (low > -_OCTAVES), median, 0)
-
-
-def _bisect(fractions: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Bracket of the median: lower and upper log2 of the value below which ``half`` of the fractions lie."""
 
     def halve(_: int, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        low, high = ends
+        low, high = ends  # log2 of a value below which less, and at least, half of the fractions lie
         middle = (low + high) / 2
         enough = jnp.sum(fractions <= jnp.exp2(middle)[None], axis=0, dtype=jnp.float32) >= half
         return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
 
     end = jnp.zeros(half.shape, jnp.float32)
     low, high = lax.fori_loop(0, _BISECTIONS, halve, (end - _OCTAVES, end))
-    return low, high
+    median = top * jnp.exp2(high.astype(top.dtype))
+    return jnp.where((half > 0) & (low > -_OCTAVES), median, 0)
 
 
 def estimate_noise(

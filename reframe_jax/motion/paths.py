@@ -81,22 +81,16 @@ def twist_paths(rotation: Array, position: Array, steps: Array, count: Array | N
     Returns:
         Rotations (3, 2, K+1, N) rad and translations (3, 2, K+1, N) m, in {b} and {g}.
     """
-    twist = mean_twists(rotation, position, steps, count) * steps.T
-    path = jnp.pad(_running_sum(twist), ((0, 0), (0, 0), (0, 0), (1, 0), (0, 0)))
+    path, reach = mean_twists(rotation, position, steps, count) * steps.T, 1
+    while reach < path.shape[3]:  # running sums, by doubling
+        earlier = jnp.pad(path[:, :, :, :-reach], ((0, 0), (0, 0), (0, 0), (reach, 0), (0, 0)))
+        path, reach = materialize(path + earlier), 2 * reach
+    path = jnp.pad(path, ((0, 0), (0, 0), (0, 0), (1, 0), (0, 0)))
     return path[0], path[1]
 
 
-def _running_sum(x: Array) -> Array:
-    """Sums over the samples up to each one, (2, 3, 2, K, N), by doubling."""
-    reach = 1
-    while reach < x.shape[3]:
-        x = materialize(x + jnp.pad(x[:, :, :, :-reach], ((0, 0), (0, 0), (0, 0), (reach, 0), (0, 0))))
-        reach *= 2
-    return x
-
-
-def _bracket(a: Array, b: Array) -> Array:
-    """Lie bracket of twists (2, 3, ...): (wa x wb, wa x vb - wb x va)."""
+def bracket(a: Array, b: Array) -> Array:
+    """Return the Lie bracket of twists (2, 3, ...): (wa x wb, wa x vb - wb x va)."""
     w, v = a[0], a[1]
     return jnp.stack([cross(w, b[0]), cross(w, b[1]) + cross(v, b[0])])
 
@@ -117,14 +111,14 @@ def _brackets(means: Array, weights: Array, h: Array) -> Array:
     second = _derivative(weights, first)
     # from the mean to the middle of the step; steps of unequal length jump in this, so no derivative
     # may be taken of anything that still has a factor h in it
-    middle = means - h**2 * (1 / 24) * second + h**2 * (side / 12) * _bracket(means, first)
+    middle = means - h**2 * (1 / 24) * second + h**2 * (side / 12) * bracket(means, first)
     a1, a2 = h * middle, h**2 * _derivative(weights, middle)
     a3, a4 = h**3 * (1 / 2) * second, h**4 * (1 / 6) * _derivative(weights, second)
-    a12 = _bracket(a1, a2)
+    a12 = bracket(a1, a2)
     # the terms above, grouped by their outer factor
-    inner = _bracket(a1, side / 720 * a12 + 1 / 360 * a3)
-    outer = _bracket(a1, inner - side / 12 * a2 - side / 80 * a4)
-    return (outer + _bracket(a2, side / 240 * a3 - 1 / 240 * a12)) / h
+    inner = bracket(a1, side / 720 * a12 + 1 / 360 * a3)
+    outer = bracket(a1, inner - side / 12 * a2 - side / 80 * a4)
+    return (outer + bracket(a2, side / 240 * a3 - 1 / 240 * a12)) / h
 
 
 def _derivative_weights(steps: Array, count: Array | None) -> Array:

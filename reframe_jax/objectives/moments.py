@@ -22,31 +22,26 @@ MONOMIALS = tuple((a, b) for a in range(4) for b in range(a, 4))
 """The ten monomials of a quadratic polynomial in p: pairs of indices into (1, px, py, pz), to multiply."""
 
 
-def velocity_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.Array:
+def velocity_moments(maps: jax.Array) -> jax.Array:
     """Compute the coefficients of Sigma(p) from affine velocity maps.
 
     Args:
         maps: (..., K, 3, 4) matrices (a | B) of the samples, with velocity u = a + B p. Angular velocities,
             which have no origin, are maps (..., K, 3, 1).
-        weights: (..., K) non-negative weights of the samples in the mean; equal by default.
 
     Returns:
         (6, 10, ...) coefficients; (6, 1, ...) for angular velocities.
     """
-    components = jnp.moveaxis(maps, (-2, -1, -3), (0, 1, 2))
-    return component_moments(components, None if weights is None else jnp.moveaxis(weights, -1, 0))
+    return component_moments(jnp.moveaxis(maps, (-2, -1, -3), (0, 1, 2)))
 
 
-def component_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.Array:
+def component_moments(maps: jax.Array) -> jax.Array:
     """Compute :func:`velocity_moments` of arrays with components first.
 
     Args:
         maps: (3, 4, K, ...) matrices (a | B), or (3, 1, K, ...) for angular velocities.
-        weights: (K, ...) non-negative weights of the samples; equal by default.
     """
-    weights = jnp.ones_like(maps[0, 0]) if weights is None else weights
-    weighted = maps * (weights / jnp.sum(weights, axis=0, keepdims=True))[None, None]
-    means = jnp.einsum("iak...,jbk...->iajb...", weighted, maps, precision="highest")
+    means = jnp.einsum("iak...,jbk...->iajb...", maps / maps.shape[2], maps, precision="highest")
     one, other = np.array(INDEX_PAIRS).T[:, :, None]
     a, b = np.array([(0, 0)] if maps.shape[1] == 1 else MONOMIALS).T
     same = (a == b).reshape(1, -1, *[1] * (maps.ndim - 3))

@@ -13,7 +13,6 @@ from reframe_jax.simulation.arm.demonstration import Demonstration
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d.axes3d import Axes3D
 
@@ -69,19 +68,14 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
             )
     forces.set_xlabel("time [s]", fontsize=FONT)
     for axes in (motion, moments, forces):
-        _finish(axes)
-        axes.tick_params(labelbottom=axes is forces)
+        axes.tick_params(labelsize=FONT, labelbottom=axes is forces)
+        if axes.get_legend_handles_labels()[0]:
+            axes.axhline(0, color="black", linewidth=0.5)
+            axes.legend(
+                loc="lower left", bbox_to_anchor=(0, 1), ncols=3, fontsize=FONT, frameon=False, borderpad=0.1
+            )
         axes.set_xlim(0, float(made.times[-1]))
     return figure
-
-
-def _finish(axes: "Axes") -> None:
-    axes.tick_params(labelsize=FONT)
-    if axes.get_legend_handles_labels()[0]:
-        axes.axhline(0, color="black", linewidth=0.5)
-        axes.legend(
-            loc="lower left", bbox_to_anchor=(0, 1), ncols=3, fontsize=FONT, frameon=False, borderpad=0.1
-        )
 
 
 def _joint_points(joints: np.ndarray, arm: Arm) -> np.ndarray:

@@ -21,29 +21,19 @@ _ANGULAR_PARAMETERS = np.array([0, 2, 2, 0])  # directions of 0 to 3 held rotati
 class Bank(NamedTuple):
     """H models, each with up to three held translations and up to three held rotations.
 
-    Attributes:
-        span: (H, 2) first cell, and the cell after the last, of the span to which a model was fitted.
-        held: (H, 2) numbers of held translations and held rotations.
-        kind: (H, 2) codes of the linear and the angular type.
-        shifts, turns: (H, 3, 12) and (H, 3, 3) weights of the features of these types, one row for each held
-            translation or rotation; unused rows are 0.
-        middle: (H, 6) m and rad, mean values of the held coordinates, translations first.
-        size: (H, 6) m and rad, RMS deviations from ``middle``; infinite for unused rows.
-        score: (H,) log evidence for the model in its own span, minus the price of a segment.
-        reference: (H,) sum of the logarithms of the amplitudes of the coordinates if they are free.
-        motion: (H,) m, largest motion of the span.
+    ``shifts`` and ``turns`` have one row for each held translation or rotation; unused rows are 0.
     """
 
-    span: np.ndarray
-    held: np.ndarray
-    kind: np.ndarray
-    shifts: np.ndarray
-    turns: np.ndarray
-    middle: np.ndarray
-    size: np.ndarray
-    score: np.ndarray
-    reference: np.ndarray
-    motion: np.ndarray
+    span: np.ndarray  # (H, 2) first cell, and the cell after the last, to which a model was fitted
+    held: np.ndarray  # (H, 2) numbers of held translations and held rotations
+    kind: np.ndarray  # (H, 2) codes of the linear and the angular type
+    shifts: np.ndarray  # (H, 3, 12) weights of the features of the linear type
+    turns: np.ndarray  # (H, 3, 3) weights of the features of the angular type
+    middle: np.ndarray  # (H, 6) m and rad, mean values of the held coordinates, translations first
+    size: np.ndarray  # (H, 6) m and rad, RMS deviations from ``middle``; infinite for unused rows
+    score: np.ndarray  # (H,) log evidence for the model in its own span, minus the price of a segment
+    reference: np.ndarray  # (H,) sum of the logarithms of the amplitudes of the coordinates if they are free
+    motion: np.ndarray  # (H,) m, largest motion of the span
 
     def take(self, index: np.ndarray | list[int]) -> "Bank":
         """Select models by index."""

@@ -61,7 +61,12 @@ def find_pieces(cells: Cells) -> list[Piece]:
         again = tried.take([k for k, span in enumerate(tried.span.tolist()) if tuple(span) in spans])
         pieces = [Piece(a, b, bank.take([path[a]]) if path[a] >= 0 else None) for a, b in pairwise(edges)]
         if part == 1:
-            paid = _paid(pieces, again)
+            # a model of a longer span has too much evidence in a short piece, which moves little anyway
+            best = best_scores(again)
+            paid = [
+                piece.model is None or piece.still or best.get((piece.start, piece.stop), -np.inf) >= 0
+                for piece in pieces
+            ]
             if all(paid) and now <= evidence + 0.1:
                 break
             evidence = now if all(paid) else -np.inf
@@ -91,18 +96,6 @@ def _join_free(pieces: list[Piece]) -> list[Piece]:
     return joined
 
 
-def _paid(pieces: list[Piece], again: Bank) -> list[bool]:
-    """Whether each piece has a model with enough evidence in this piece alone.
-
-    A model of a longer span has too much evidence in a short piece, in which free motion also moves little.
-    """
-    best = best_scores(again)
-    return [
-        piece.model is None or piece.still or best.get((piece.start, piece.stop), -np.inf) >= 0
-        for piece in pieces
-    ]
-
-
 def _windows(number: int) -> np.ndarray:
     """Spans of 8, 16, 32, ... cells, at steps of four cells or a quarter of their length, and the whole."""
     length, spans = _SHORTEST, [np.array([[0, number]])]
@@ -121,20 +114,6 @@ def _neighbours(edges: list[int]) -> set[tuple[int, int]]:
             spans.add((a, b))
             spans |= {(a + cut, b - cut) for cut in (1, 2) if count == 1}
     return {span for span in spans if span[1] - span[0] >= 3}
-
-
-def stays_held(models: list[Bank], cells: Cells, union: Fits) -> bool:
-    """Whether coordinates that models of equal ``held`` hold can also be held in the union of their spans."""
-    translations, rotations = models[0].held[0]
-    size = np.stack([model.size[0] for model in models])
-    for count, own, fitted, floor in (
-        (translations, size[:, :3], union.size[0, translations - 1], cells.floor[0]),
-        (rotations, size[:, 3:], union.turn[0], cells.floor[1]),
-    ):
-        # slow errors of a tracker affect different rows in different spans: the largest row decides
-        if count and fitted[:, :count].max(axis=1).min() > max(C.same * own[:, :count].max(), 2 * floor):
-            return False
-    return True
 
 
 def join_pieces(cells: Cells, pieces: list[Piece]) -> list[Piece]:
@@ -193,12 +172,19 @@ def _join_one(
 
 
 def _together(cells: Cells, start: int, stop: int, models: list[Bank]) -> Piece | None:
-    """Make one piece of a span if the rows of the models stay held in the whole span."""
+    """Make one piece of a span if the rows of models with equal ``held`` stay held in the whole span."""
     span = np.array([[start, stop]])
     fits = fit_spans(cells, span)
     found = choose_models(cells, span, fits)
-    if not stays_held(models, cells, fits):
-        return None
+    translations, rotations = models[0].held[0]
+    size = np.stack([model.size[0] for model in models])
+    for count, own, fitted, floor in (
+        (translations, size[:, :3], fits.size[0, translations - 1], cells.floor[0]),
+        (rotations, size[:, 3:], fits.turn[0], cells.floor[1]),
+    ):
+        # slow errors of a tracker affect different rows in different spans: the largest row decides
+        if count and fitted[:, :count].max(axis=1).min() > max(C.same * own[:, :count].max(), 2 * floor):
+            return None
     same = np.flatnonzero(np.all(found.held == models[0].held, axis=1))
     return Piece(start, stop, found.take(same[:1]) if len(same) else models[0])
 

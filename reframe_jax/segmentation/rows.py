@@ -15,24 +15,15 @@ _HAT = np.cross(np.eye(3)[:, None], np.eye(3))  # (_HAT @ v)[:, c] = e_c x v
 
 
 class Fits(NamedTuple):
-    """The rows with the least motion in each of P spans, for the four linear and the two angular types.
+    """The rows with the least motion in each of P spans, for the four linear and the two angular types."""
 
-    Attributes:
-        weights: (P, 3, 4, 3, 12) rows for 1, 2 and 3 held translations, for each linear type.
-        size: (P, 3, 4, 3) m, RMS of each coordinate about its mean; infinite for unused rows.
-        axes: (P, 2, 3, 3) unit axes as rows, for each angular type, in ascending order of rotation.
-        turn: (P, 2, 3) rad, RMS of the rotation about each of these axes.
-        linear_mean, angular_mean: (P, 4, 12) and (P, 2, 3) mean features.
-        motion: (P,) m, largest motion of the span.
-    """
-
-    weights: np.ndarray
-    size: np.ndarray
-    axes: np.ndarray
-    turn: np.ndarray
-    linear_mean: np.ndarray
-    angular_mean: np.ndarray
-    motion: np.ndarray
+    weights: np.ndarray  # (P, 3, 4, 3, 12) rows for 1, 2 and 3 held translations, for each linear type
+    size: np.ndarray  # (P, 3, 4, 3) m, RMS of each coordinate about its mean; infinite for unused rows
+    axes: np.ndarray  # (P, 2, 3, 3) unit axes as rows, for each angular type, in ascending order of rotation
+    turn: np.ndarray  # (P, 2, 3) rad, RMS of the rotation about each of these axes
+    linear_mean: np.ndarray  # (P, 4, 12) mean features
+    angular_mean: np.ndarray  # (P, 2, 3) mean features
+    motion: np.ndarray  # (P,) m, largest motion of the span
 
 
 def fit_spans(cells: Cells, spans: np.ndarray) -> Fits:

@@ -17,17 +17,11 @@ _BATCH = 50_000  # values per batch
 
 
 class Coverage(NamedTuple):
-    """Log evidence of each model in the cells near its span. Models without common cells share a column.
+    """Log evidence of each model in the cells near its span. Models without common cells share a column."""
 
-    Attributes:
-        gain: (N, W) log evidence, in each cell, of the model that occupies a column there; -inf if none does.
-        column: (H,) column of each model.
-        first: (H,) first cell in the range of each model.
-    """
-
-    gain: np.ndarray
-    column: np.ndarray
-    first: np.ndarray
+    gain: np.ndarray  # (N, W) in each cell, of the model that occupies a column there; -inf if none does
+    column: np.ndarray  # (H,) column of each model
+    first: np.ndarray  # (H,) first cell in the range of each model
 
     def join(self, other: "Coverage") -> "Coverage":
         """Append the models of another coverage."""

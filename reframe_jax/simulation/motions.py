@@ -51,24 +51,20 @@ def disturb(poses: jax.Array, key: jax.Array, errors: PoseErrors, dt: float | ja
     error = errors.sigma * jax.random.normal(white_key, shape, dtype)
     error = error + errors.jump * jumps * jax.random.normal(jump_key, shape, dtype)
     memory = jnp.exp(-dt / errors.slow_time).astype(dtype)
-    error = error + errors.slow * _autoregression(jax.random.normal(slow_key, shape, dtype), memory)
+    white = jax.random.normal(slow_key, shape, dtype)
+
+    def advance(last: jax.Array, new: jax.Array) -> tuple[jax.Array, jax.Array]:
+        now = memory * last + jnp.sqrt(1 - memory**2) * new
+        return now, now
+
+    drift = jnp.concatenate([white[:1], jax.lax.scan(advance, white[0], white[1:])[1]])
+    error = error + errors.slow * drift
     turn, shift = jnp.split(sizes * error, 2, axis=-1)
     rotation = matmul(rotations.rotation_exp(turn), poses[:, :3, :3])
     quaternion = _rounded(rotations.rotation_to_quaternion(rotation), errors.rotation_ratio / 2, errors)
     quaternion = quaternion / jnp.linalg.norm(quaternion, axis=-1, keepdims=True)
     rotation = jnp.where(errors.rounding > 0, rotations.quaternion_to_rotation(quaternion), rotation)
     return transforms.make_pose(rotation, _rounded(poses[:, :3, 3] + shift, 1.0, errors))
-
-
-def _autoregression(white: jax.Array, memory: jax.Array) -> jax.Array:
-    """Autoregressive noise (K, n) of unit variance, with a given correlation of consecutive samples."""
-    fresh = jnp.sqrt(1 - memory**2)
-
-    def advance(last: jax.Array, new: jax.Array) -> tuple[jax.Array, jax.Array]:
-        now = memory * last + fresh * new
-        return now, now
-
-    return jnp.concatenate([white[:1], jax.lax.scan(advance, white[0], white[1:])[1]])
 
 
 def _rounded(values: jax.Array, ratio: float | jax.Array, errors: PoseErrors) -> jax.Array:

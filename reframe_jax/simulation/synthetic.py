@@ -21,6 +21,7 @@ from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Frame, body_twist, frame_arrays
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import matmul
+from reframe_jax.motion.paths import bracket
 
 __all__ = [
     "EXCITATIONS",
@@ -216,22 +217,16 @@ def _runge_kutta(
         slope, total = carry
         fraction, weight = weights
         x = fraction * h * slope
-        here = twist(t + fraction * h, matmul(pose, transforms.pose_exp(x)))
+        here = twist(t + fraction * h, matmul(pose, transforms.pose_exp(x.ravel()))).reshape(2, 3)
         # dx/dt at T exp(x), to the order of the method
-        turned = _bracket(x, here)
-        slope = here + turned / 2 + _bracket(x, turned) / 12
+        turned = bracket(x, here)
+        slope = here + turned / 2 + bracket(x, turned) / 12
         return (slope, total + weight * slope), None
 
-    zero = jnp.zeros(6, dtype=pose.dtype)
+    zero = jnp.zeros((2, 3), dtype=pose.dtype)
     tableau = jnp.asarray([[0, 1 / 6], [1 / 2, 1 / 3], [1 / 2, 1 / 3], [1, 1 / 6]], dtype=pose.dtype)
     (_, slope), _ = jax.lax.scan(stage, (zero, zero), tableau)
-    return matmul(pose, transforms.pose_exp(h * slope))
-
-
-def _bracket(x: jax.Array, y: jax.Array) -> jax.Array:
-    """Lie bracket (6,) of two twists (6,)."""
-    (w, v), (turn, shift) = jnp.split(x, 2), jnp.split(y, 2)
-    return jnp.concatenate([jnp.cross(w, turn), jnp.cross(v, turn) + jnp.cross(w, shift)])
+    return matmul(pose, transforms.pose_exp(h * slope.ravel()))
 
 
 @jax.jit

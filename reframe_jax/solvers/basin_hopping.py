@@ -1,18 +1,25 @@
-"""Basin hopping: a global search from many starts, for many problems at once."""
+"""Basin hopping: a global search from many starts, for many problems at once.
+
+The starts are points that fill the box evenly, and points derived from the data.
+"""
 
 from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax, random
 
-from reframe_jax.objectives.protocol import Objective, check_objective
-from reframe_jax.solvers.box import Box
-from reframe_jax.solvers.protocol import LocalMinimiser, Solution, repeat_problems
-from reframe_jax.solvers.seeds import even_starts, suggested_starts
+from reframe_jax.geometry.small import solve_positive
+from reframe_jax.geometry.symmetric import INDEX_PAIRS, PACKED
+from reframe_jax.objectives.protocol import MomentsObjective, Objective, check_objective
+from reframe_jax.objectives.velocity import FrameObjective
+from reframe_jax.solvers.protocol import Box, LocalMinimiser, Solution, repeat_problems
+from reframe_jax.solvers.valley_steps import ValleySteps
 
 _SUGGESTED = 0.4  # fraction of the chains with a start from the data, if there are rounds
 _CANDIDATES = 4, 64  # candidates per start from the data: in the first round, and in later rounds
+_RIDGE = 1e-9  # added curvature, relative to its trace: selects the origin nearest to zero among equal ones
 
 
 @jax.tree_util.register_dataclass
@@ -175,7 +182,9 @@ class BasinHopping:
             first, over = (number == 0) & (after.hop == 1), after.hop == last
             pairs = {name: (getattr(after, name), getattr(before, name)) for name in _CHAINS}
             after = replace(after, **{name: jnp.where(is_open, *pair) for name, pair in pairs.items()})
-            agree = self._agree(jnp.where(first, after.value, after.best_value))
+            value = jnp.where(first, after.value, after.best_value)
+            agree = jnp.max(value, axis=0) - jnp.min(value, axis=0) < self.tolerance
+            agree = agree & (self.restarts > 1)  # a single chain agrees with no other chain
             if self.rounds > 1:
                 after = lax.cond(over, lambda s: self._start_round(objective, box, s), lambda s: s, after)
             return after, number + over.astype(jnp.int32), is_open & ~((first | over) & agree)
@@ -193,15 +202,88 @@ class BasinHopping:
         value = jnp.concatenate([value, jnp.full(starts.shape[1:], jnp.inf, value.dtype)])
         return replace(state, hop=jnp.zeros_like(state.hop), key=key, x=x, value=value)
 
-    def _agree(self, value: jax.Array) -> jax.Array:
-        """Whether all chains (restarts, ...) have similar values, (...); False for a single chain."""
-        if self.restarts == 1:
-            return jnp.zeros(value.shape[1:], dtype=bool)
-        return jnp.max(value, axis=0) - jnp.min(value, axis=0) < self.tolerance
-
 
 def _lowest(state: SearchState) -> tuple[jax.Array, jax.Array]:
     """Best point of all chains, (dim, 1, ...), and its value, (1, ...)."""
     best = jnp.argmin(state.best_value, axis=0)[None]
     x = jnp.take_along_axis(state.best_x, best[None], axis=1)
     return x, jnp.take_along_axis(state.best_value, best, axis=0)
+
+
+@dataclass(frozen=True)
+class JointSearch:
+    """Global search of a :class:`PositionObjective`, over the :class:`FrameObjective` with the same moments.
+
+    With a negative exponent, the axis with the least motion dominates the norm. The norm then has many narrow
+    minima over the origin, and a chain over origins ends in the nearest minimum. Chains over orientation and
+    origin start with different axes and reach different minima, so they miss fewer optima in less time.
+
+    Attributes:
+        search: global search over orientation and origin, with :class:`FrameSteps` as local minimizer.
+        refine: local minimizer for the origin of the best frame.
+    """
+
+    search: BasinHopping
+    refine: ValleySteps
+
+    def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
+        """Search every problem of the objective.
+
+        Raises:
+            ValueError: unless :class:`ValleySteps` can minimize the objective.
+        """
+        known = self.refine.check(objective)
+        turn = jnp.full_like(box.low, jnp.pi)
+        frames = Box(jnp.concatenate([-turn, box.low]), jnp.concatenate([turn, box.high]))
+        found = self.search.minimise(FrameObjective(known.moments, known.exponent), frames, key)
+        x, value = self.refine(objective, box, found.x[3:])
+        return Solution(x, value, found.agreement)
+
+
+def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.Array:
+    """Return points (dim, count) that cover the unit cube evenly: Roberts' sequence R_d, randomly shifted.
+
+    Any prefix of the sequence covers the cube evenly, so any ``count`` is suitable. The increments are powers
+    of the real root of x^(d+1) = x + 1, the generalized golden ratio.
+    """
+    root = 2.0
+    for _ in range(64):
+        root = (1 + root) ** (1 / (dim + 1))
+    steps = np.arange(1, count + 1) * root ** -np.arange(1.0, dim + 1)[:, None]
+    shift = random.uniform(key, (dim, 1), dtype=dtype)
+    return jnp.mod(jnp.asarray(steps % 1, dtype=dtype) + shift, 1)
+
+
+def even_starts(objective: Objective, box: Box, key: jax.Array, count: int) -> jax.Array:
+    """Return starts (dim, count, ...) that cover the box evenly; all problems have equal starts."""
+    points = box.scale(quasi_random(key, count, objective.dim, objective.dtype))
+    points = points.reshape(objective.dim, count, *([1] * len(objective.batch)))
+    return jnp.broadcast_to(points, (objective.dim, count, *objective.batch))
+
+
+def suggested_starts(
+    objective: Objective, box: Box, key: jax.Array, count: int, candidates: int
+) -> jax.Array:
+    """Return starts (dim, count, ...) that are derived from the data of every problem.
+
+    For a norm of velocities over origins, a candidate is the origin with the least motion along a random
+    direction. The origin of the constraint is such a point for its constrained directions. Each start is the
+    best of several candidates. For other objectives, the starts cover the box evenly.
+    """
+    batch, dtype = objective.batch, objective.dtype
+    if not (isinstance(objective, MomentsObjective) and objective.unknowns == "position"):
+        return even_starts(objective, box, key, count)
+    d = random.normal(key, (3, candidates * count), dtype)
+    d = d.reshape(3, candidates * count, *([1] * len(batch)))
+    # coefficients of d^T Sigma(p) d; its gradient is zero at the minimum
+    q = jnp.zeros((10, candidates * count, *batch), dtype)
+    for (a, b), row in zip(INDEX_PAIRS, objective.moments, strict=True):
+        q = q + (1 if a == b else 2) * (d[a] * d[b])[None] * row[:, None]
+    ridges = _RIDGE * (q[4] + q[7] + q[9])
+    curvature = jnp.stack([2 * (q[4] + ridges), q[5], q[6], 2 * (q[7] + ridges), q[8], 2 * (q[9] + ridges)])
+    least = solve_positive(curvature[np.array(PACKED)], -q[1:4])
+    points = box.clip(jnp.where(jnp.isfinite(least), least, 0))
+    values = repeat_problems(objective, len(batch), candidates * count).value(points)
+    points = points.reshape(3, candidates, count, *batch)
+    best = jnp.argmin(values.reshape(candidates, count, *batch), axis=0)
+    return jnp.take_along_axis(points, best[None, None], axis=1)[:, 0]

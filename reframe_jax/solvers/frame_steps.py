@@ -23,9 +23,8 @@ from reframe_jax.geometry.small import rotate
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean
 from reframe_jax.objectives.velocity import FrameObjective
-from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.newton_steps import derivatives, steps_in_box, take_best_steps
-from reframe_jax.solvers.protocol import MomentsSteps
+from reframe_jax.solvers.protocol import Box, MomentsSteps
 
 _Frame = tuple[jax.Array, jax.Array]  # axes (3, 3), columns of E, and origin (3,)
 

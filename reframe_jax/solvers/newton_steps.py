@@ -8,8 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.objectives.protocol import Objective
-from reframe_jax.solvers.box import Box
-from reframe_jax.solvers.protocol import BatchSteps
+from reframe_jax.solvers.protocol import BatchSteps, Box
 
 _POWERS = (0.0, 1.0, 2.0, 3.0, 6.0)  # exponents s of the Newton steps on J^s
 _PARTS = (1.0, 0.25, 0.05)  # fractions of the descent step for an indefinite Hessian

@@ -8,8 +8,7 @@ import jax.numpy as jnp
 import optax
 
 from reframe_jax.objectives.protocol import Objective
-from reframe_jax.solvers.box import Box
-from reframe_jax.solvers.protocol import BatchSteps
+from reframe_jax.solvers.protocol import BatchSteps, Box
 
 
 @dataclass(frozen=True)

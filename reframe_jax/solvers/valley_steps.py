@@ -13,9 +13,8 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.objectives.velocity import PositionObjective, log_norm
-from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.newton_steps import derivatives, steps_in_box, take_best_steps
-from reframe_jax.solvers.protocol import MomentsSteps
+from reframe_jax.solvers.protocol import Box, MomentsSteps
 
 
 @dataclass(frozen=True)

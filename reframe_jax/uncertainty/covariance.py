@@ -23,10 +23,10 @@ from reframe_jax.uncertainty.refit import (
     THIRDS,
     Refit,
     Windows,
+    over_windows,
     refit_windows,
 )
 from reframe_jax.uncertainty.spread import blocks, parts_with_prior, spread_of_fit, student_variance, widen
-from reframe_jax.uncertainty.windows import over_windows
 
 Errors = Literal["measured", "white"]
 """Whether disagreement between parts of the recording widens a covariance, or errors count as white."""

@@ -16,9 +16,8 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.model.features import pose_features
 from reframe_jax.model.moments import scale_moments
 from reframe_jax.motion import kinematics
-from reframe_jax.uncertainty.refit import Refit, Windows, align_scales, refit_windows
+from reframe_jax.uncertainty.refit import Refit, Windows, align_scales, over_windows, refit_windows
 from reframe_jax.uncertainty.spread import covariances_of_motions, information, row_precision
-from reframe_jax.uncertainty.windows import over_windows
 
 _SPEED = np.repeat([0.5, 0.1], 3)  # rad/s and m/s, amplitude of a candidate motion along an axis
 _RATE = 2 * np.pi  # rad/s, one period per second
@@ -40,17 +39,13 @@ class MotionAdvice:
 
     def __str__(self) -> str:
         """Describe the motions, one line per motion."""
-        return "\n".join(
-            f"{_describe_motion(axes)}: standard deviations times {shrink:.2f}"
-            for axes, shrink in zip(self.axes, self.shrinks, strict=True)
-        )
-
-
-def _describe_motion(axes: np.ndarray) -> str:
-    turns, slides = ([str(i + 1) for i in np.flatnonzero(part)] for part in (axes[:3], axes[3:]))
-    parts = [f"turn about angular axis {' and '.join(turns)}"] if turns else []
-    parts += [f"slide along linear axis {' and '.join(slides)}"] if slides else []
-    return ", ".join(parts)
+        lines = []
+        for axes, shrink in zip(self.axes, self.shrinks, strict=True):
+            turns, slides = ([str(i + 1) for i in np.flatnonzero(part)] for part in (axes[:3], axes[3:]))
+            parts = [f"turn about angular axis {' and '.join(turns)}"] if turns else []
+            parts += [f"slide along linear axis {' and '.join(slides)}"] if slides else []
+            lines.append(f"{', '.join(parts)}: standard deviations times {shrink:.2f}")
+        return "\n".join(lines)
 
 
 def next_motion(
@@ -93,8 +88,8 @@ def next_motion(
     for row, picked in zip(axes, chosen, strict=True):
         row[list(picked)] = True
     with jax.enable_x64(True):
-        frame = jax.tree.map(jnp.asarray, frame_arrays(found.constraint_frame))
-        frame = jax.tree.map(lambda leaf: leaf if leaf.dtype == bool else leaf.astype(float), frame)
+        frame = jax.tree.map(jnp.asarray, found.constraint_frame)
+        frame = frame_arrays(jax.tree.map(lambda leaf: leaf.astype(float), frame))
         centre, refit = over_windows(_fit_whole, found, recorded, clock, None, "auto")
         now, then = _spreads(frame, recorded[-1], axes * _SPEED, step, centre, refit, number=number)
     shrinks = _shrinks(np.asarray(now), np.asarray(then))

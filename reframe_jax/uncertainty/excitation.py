@@ -24,8 +24,7 @@ from reframe_jax.identification.preparation import Prepared
 from reframe_jax.identification.results import Identification, Index
 from reframe_jax.model.fit import coordinates
 from reframe_jax.model.table import ENTRIES
-from reframe_jax.uncertainty.refit import Windows
-from reframe_jax.uncertainty.windows import over_windows
+from reframe_jax.uncertainty.refit import Windows, over_windows
 
 _STEADY = 0.03  # residual fraction of a constant, fitted by velocities, below which a velocity is constant
 _PROPORTIONAL = 1e-3  # residual fraction of a velocity, fitted by the others, below which it is dependent

@@ -4,15 +4,23 @@ A covariance has nine components: a rotation of the angular axes and of the line
 in the bodies of their types (rad), and a shift of the origin (m).
 """
 
+import contextlib
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
+from reframe_jax.compilation import in_float64, inside_trace, jit_pair, traced
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
 from reframe_jax.geometry.rotations import vee
+from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.frames import AngularFrame, LinearFrame
+from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
+from reframe_jax.identification.options import Scales, take_scales
 from reframe_jax.identification.preparation import Prepared, prepare_windows
 from reframe_jax.identification.results import Identification
 from reframe_jax.model.fit import Data, Parameters, fit_entry, ground_axes, move
@@ -29,6 +37,7 @@ LENGTHS = np.array([1, *(1 / parts for _, parts in _SPANS)])
 """Lengths of the window and of the spans, as fractions of the window."""
 BLOCKS = 6
 """Number of blocks, of which each fit leaves out one."""
+_CHUNK = {"cpu": 8, "gpu": 1024}  # windows per chunk, so that the moments of all parts fit into memory
 _PRIOR_ANGLE, _PRIOR_PITCH = 1.0, 1.0  # rad and m/rad, prior standard deviations
 _IN_GROUND = np.array([path in ("GG", "BG") for path in PATHS])  # origins of entries, by ``Table.path``
 
@@ -43,51 +52,27 @@ class Estimate(NamedTuple):
     universal_axes: Array
 
 
-def estimate_of(found: Identification, dtype: np.dtype) -> Estimate:
-    """Extract the start of the fit from an identification, in the precision of the poses."""
-    values = jax.tree.map(jnp.asarray, Estimate(*(getattr(found, name) for name in Estimate._fields)))
-    return jax.tree.map(lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, values)
-
-
 class Windows(NamedTuple):
-    """What the fit of N windows needs.
+    """What the fit of N windows needs."""
 
-    Attributes:
-        box: (N,) m, half the width of the cube of origins.
-        moments: moments of the used scales.
-        mean_rotation: (N, 3, 3) mean rotations.
-        entry: (N,) rows of the table of constraints.
-        start: initial parameters.
-        found: the identified frames.
-    """
-
-    box: Array
-    moments: Moments
-    mean_rotation: Array
-    entry: Table
-    start: Parameters
-    found: Estimate
+    box: Array  # (N,) m, half the width of the cube of origins
+    moments: Moments  # of the used scales
+    mean_rotation: Array  # (N, 3, 3)
+    entry: Table  # (N,) rows of the table of constraints
+    start: Parameters  # initial parameters
+    found: Estimate  # the identified frames
 
 
 class Refit(NamedTuple):
-    """Constraints fitted to M parts of each of N windows; the first part is the whole window.
+    """Constraints fitted to M parts of each of N windows; the first part is the whole window."""
 
-    Attributes:
-        parameters, data: fitted parameters, and the statistics of the parts, with leading axes (N, M).
-        numbers: (N, M, 9) components of each fit, relative to the fit of the whole window.
-        slopes: (N, M, 9, 9) derivative of the components with respect to a step of the parameters.
-        poses: (N, M) number of poses in each part.
-        entry: (N,) rows of the table of constraints.
-        prior: (N, 9) prior standard deviations of the parameters.
-    """
-
-    parameters: Parameters
-    data: Data
-    numbers: Array
-    slopes: Array
-    poses: Array
-    entry: Table
-    prior: Array
+    parameters: Parameters  # (N, M) in front
+    data: Data  # (N, M) in front, statistics of the parts
+    numbers: Array  # (N, M, 9) components of each fit, relative to the fit of the whole window
+    slopes: Array  # (N, M, 9, 9) derivative of the components with respect to a step of the parameters
+    poses: Array  # (N, M) number of poses in each part
+    entry: Table  # (N,) rows of the table of constraints
+    prior: Array  # (N, 9) prior standard deviations of the parameters
 
     def of_whole(self) -> "Refit":
         """Return the fit of one whole window, without the axis of parts."""
@@ -99,20 +84,78 @@ EACH_PART = Refit(0, 0, 0, 0, 0, None, None)  # type: ignore[arg-type]
 """Axes for ``jax.vmap`` over the parts of one window."""
 
 
-def prepare(
-    poses: Array, steps: Array, count: Array | None, found: Estimate, scales: tuple[int, ...] | None
-) -> tuple[Prepared, Windows]:
-    """Prepare poses (N, P, 4, 4), m, and steps (K,) or (N, K), s, for the fit of the identified frames.
+def over_windows(
+    function: Callable[..., Any],
+    found: Identification,
+    poses: ArrayLike,
+    times: ArrayLike | None,
+    dt: ArrayLike | None,
+    scales: Scales,
+    **static: Any,
+) -> Any:
+    """Call a function of N windows for the windows of an identification, single, many or traced.
 
-    The numbers of poses before the padding are ``count`` (N,), or None without padding. Time scales are in
-    samples; None chooses all scales at which the motion exceeds the noise.
+    The arguments of the function are prepared windows, their :class:`Windows`, and the keywords ``scales``
+    and ``static``; it must be defined at module level, so that it compiles only once. Time scales are in
+    samples; None chooses all scales at which the motion exceeds the noise. Poses, times, dt and scales are
+    those of the user. The result is that of the function, with the leading axes of ``found`` in place of the
+    axis of windows.
+
+    Raises:
+        ValueError: if the poses or times do not match ``found``.
     """
-    window = jax.lax.stop_gradient(prepare_windows(poses, steps, count, None, scales))
-    used = choose_scales(window.moments, window.noise, scales)
-    mean = window.features.mean_rotation
-    entry = jax.vmap(entries_at)(jnp.maximum(found.entry_code, 0))
-    start = jax.vmap(_start)(found, window.centre, mean, entry)
-    return window, Windows(window.box, used, mean, entry, start, found)
+    array = take_poses(poses)
+    expected = (*np.shape(found.counted), 4, 4)
+    if array.shape != expected:
+        raise ValueError(f"poses must be the identified poses, of shape {expected}, not {array.shape}.")
+    codes = found.warning_codes
+    if np.ndim(codes) == 0 and not traced(codes) and int(codes) & Caution.UNORDERED and scales == "auto":
+        scales = "mean"  # as the identification was made
+    wide = not isinstance(array, jax.Array) and array.dtype == np.float64
+    with jax.enable_x64(True) if wide else contextlib.nullcontext():
+        steps = take_steps(array, times, dt).astype(array.dtype)
+        estimate = jax.tree.map(jnp.asarray, Estimate(*(getattr(found, name) for name in Estimate._fields)))
+        estimate = jax.tree.map(
+            lambda x: x.astype(array.dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, estimate
+        )
+        tracing = inside_trace((array, steps, estimate))
+        program = _program_in_trace if tracing else _program
+        run = partial(program, function=function, scales=take_scales(scales, array.shape[-3]), **static)
+        batch = array.shape[:-3]
+        steps = (np if wide else jnp).broadcast_to(steps, (*batch, array.shape[-3] - 1))
+        array, steps, estimate = jax.tree.map(
+            lambda leaf: leaf.reshape((-1, *leaf.shape[len(batch) :])), (array, steps, estimate)
+        )
+        if tracing:
+            result = run(array, steps, None, estimate)
+        else:
+            most = _CHUNK.get(jax.default_backend(), 256)
+            result = run_in_pieces(run, array, steps, estimate, most, True)
+        result = jax.tree.map(lambda leaf: leaf.reshape((*batch, *leaf.shape[1:])), result)
+    if wide and not in_float64():
+        return jax.device_put(jax.tree.map(_narrow, jax.device_get(result)))
+    return result
+
+
+def _run(
+    poses: Any, steps: Any, count: Any, found: Estimate, *, function: Any, scales: Any, **static: Any
+) -> Any:
+    """Prepare poses for the fit, and call the function; ``count`` (N,) are the poses before the padding."""
+    with jax.default_matmul_precision("highest"):
+        window = jax.lax.stop_gradient(prepare_windows(poses, steps, count, None, scales))
+        used = choose_scales(window.moments, window.noise, scales)
+        mean = window.features.mean_rotation
+        entry = jax.vmap(entries_at)(jnp.maximum(found.entry_code, 0))
+        start = jax.vmap(_start)(found, window.centre, mean, entry)
+        windows = Windows(window.box, used, mean, entry, start, found)
+        return function(window, windows, scales=scales, **static)
+
+
+_program, _program_in_trace = jit_pair(_run, ("function", "scales", "parts"))
+
+
+def _narrow(leaf: Any) -> Any:
+    return leaf.astype(np.float32) if leaf.dtype == np.float64 else leaf
 
 
 def refit_windows(window: Prepared, windows: Windows, scales: tuple[int, ...] | None, parts: str) -> Refit:
@@ -124,8 +167,7 @@ def refit_windows(window: Prepared, windows: Windows, scales: tuple[int, ...] | 
     products, details = windows.moments.products[:, None], windows.moments.details[:, None]
     number = jnp.sum(window.counted, axis=1)[:, None]
     if parts != "whole":
-        moments_of = _moments_of_spans if parts == "spans" else _moments_of_blocks
-        moments, of_parts = moments_of(window, scales == ())
+        moments, of_parts = _moments_of_parts(window, parts, scales == ())
         noise = jnp.repeat(window.noise, of_parts.shape[1], axis=0)
         more = align_scales(choose_scales(moments, noise, scales), details.shape[2])
         products, details = (
@@ -147,26 +189,28 @@ def align_scales(moments: Moments, count: int) -> tuple[Array, Array]:
     return moments.products[:, place], jnp.where(present, moments.details[:, place], 0)
 
 
-def _moments_of_blocks(window: Prepared, about_mean: bool) -> tuple[Moments, Array]:
-    """Moments (N * M, ...) of the window without each of M blocks, and the number of poses left (N, M)."""
-    block = jnp.arange(window.counted.shape[1])[None] * BLOCKS // window.count[:, None]
-    kept = window.counted[:, None] & (block[:, None] != jnp.arange(BLOCKS)[:, None])
-    values, length = (jnp.repeat(x, BLOCKS, axis=0) for x in (window.features.values, window.count))
-    moments = scale_moments(values, kept.reshape(-1, kept.shape[2]), length, about_mean)
-    return moments, jnp.sum(kept, axis=2)
+def _moments_of_parts(window: Prepared, parts: str, about_mean: bool) -> tuple[Moments, Array]:
+    """Moments (N * M, ...) of the parts of windows, and the number of poses in each part, (N, M).
 
-
-def _moments_of_spans(window: Prepared, about_mean: bool) -> tuple[Moments, Array]:
-    """Moments (N * M, ...) of the window, its halves and thirds, and the number of poses (N, M)."""
+    The parts are the halves and thirds of the windows, after the whole, or the windows without a block.
+    """
     values, count = window.features.values, window.count
-    first, end = (jnp.stack([count * (part + i) // parts for part, parts in _SPANS], axis=1) for i in (0, 1))
-    longest = -(-values.shape[1] // 2)
-    place = first[:, :, None] + jnp.arange(longest, dtype=jnp.int32)
-    own = place < end[:, :, None]
-    place = jnp.minimum(place, values.shape[1] - 1)
+    every = jnp.arange(values.shape[1], dtype=jnp.int32)
+    if parts == "spans":
+        first, end = (
+            jnp.stack([count * (part + i) // number for part, number in _SPANS], axis=1) for i in (0, 1)
+        )
+        place = first[:, :, None] + every[: -(-values.shape[1] // 2)]
+        own = place < end[:, :, None]
+        place, length = jnp.minimum(place, values.shape[1] - 1), end - first
+    else:
+        block = every * BLOCKS // count[:, None]
+        own = block[:, None] != jnp.arange(BLOCKS)[:, None]
+        place = jnp.broadcast_to(every, own.shape)
+        length = jnp.broadcast_to(count[:, None], own.shape[:2])
     kept = jax.vmap(lambda counted, i: counted[i])(window.counted, place) & own
-    taken = jax.vmap(lambda value, i: value[i])(values, place).reshape(-1, longest, values.shape[2])
-    moments = scale_moments(taken, kept.reshape(-1, longest), (end - first).ravel(), about_mean)
+    taken = jax.vmap(lambda value, i: value[i])(values, place).reshape(-1, *place.shape[2:], values.shape[2])
+    moments = scale_moments(taken, kept.reshape(-1, kept.shape[2]), length.ravel(), about_mean)
     return moments, jnp.sum(kept, axis=2)
 
 

@@ -129,7 +129,7 @@ def parts_with_prior(refit: Refit, own: Array, lengths: np.ndarray) -> tuple[Arr
     data = refit.data
     moved = covariances_of_motions(refit.of_whole(), data.products, data.details)
     moved = jax.vmap(blocks)(moved)
-    values, axes, known = jax.vmap(_principal)(moved[0] + _PRIOR * lengths[:, None, None, None] * moved)
+    values, axes, known = _principal(moved[0] + _PRIOR * lengths[:, None, None, None] * moved)
     inverse = jnp.where(known, 1 / jnp.where(known, values, 1), 0)
     weight = (1 + _PRIOR) * moved[0] @ jnp.einsum("mgij,mgj,mgkj->mgik", axes, inverse, axes)
     estimates = jnp.einsum("mgij,mgj->mgi", weight, refit.numbers.reshape(-1, 3, 3))
@@ -151,7 +151,11 @@ def widen(covariance: Array, apart: Array, chance: Array, sets: np.ndarray) -> A
         chance: (P, 3, 3, 3) covariances of the differences, for white errors.
         sets: (P,) int, 0 for redundant axes; other numbers for pairs of equally long parts.
     """
-    square, number, apart = jax.vmap(_distances)(apart, chance)
+    # squared Mahalanobis distances, numbers of dimensions with a variance, and components in these dimensions
+    values, axes, known = _principal(chance)
+    along = jnp.where(known, jnp.einsum("pgij,pgi->pgj", axes, apart), 0)
+    square = jnp.sum(jnp.square(along) / jnp.where(known, values, 1), axis=2)
+    number, apart = jnp.sum(known, axis=2), jnp.einsum("pgij,pgj->pgi", axes, along)
     same = sets[:, None] == sets
     mean = same / np.sum(same, axis=1, keepdims=True) @ (square / jnp.maximum(number, 1))
     counted = jnp.clip((mean - _CHANCE) / (_SIGNIFICANT - _CHANCE), 0, 1)
@@ -170,14 +174,6 @@ def blocks(covariance: Array) -> Array:
 
 
 def _principal(groups: Array) -> tuple[Array, Array, Array]:
-    """Variances (3, 3) and principal axes (3, 3, 3) of the groups, and whether a variance exceeds zero."""
+    """Variances (..., 3) and principal axes (..., 3, 3) of covariances; whether a variance exceeds zero."""
     values, axes = jnp.linalg.eigh(groups)
-    return values, axes, values > _KNOWN * values[:, -1:]
-
-
-def _distances(apart: Array, covariance: Array) -> tuple[Array, Array, Array]:
-    """Squared Mahalanobis distance, count of dimensions with a variance, and components there, by group."""
-    values, axes, known = _principal(covariance)
-    along = jnp.where(known, jnp.einsum("gij,gi->gj", axes, apart), 0)
-    square = jnp.sum(jnp.square(along) / jnp.where(known, values, 1), axis=1)
-    return square, jnp.sum(known, axis=1), jnp.einsum("gij,gj->gi", axes, along)
+    return values, axes, values > _KNOWN * values[..., -1:]

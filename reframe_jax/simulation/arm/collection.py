@@ -157,11 +157,8 @@ def stored_demonstrations(folder: str | Path) -> Iterator[Demonstration]:
             f"{folder} is incomplete: parts {missing[:8]} are missing. Run store_demonstrations again."
         )
     for number in numbers:
-        yield _from_arrays(run.read(number))
-
-
-def _from_arrays(part: dict[str, Any]) -> Demonstration:
-    truth = {name: part.pop(f"true_{name}") for name in ConstraintFrame.__dataclass_fields__}
-    truth |= {name: kind[str(truth[name])] for name, kind in _TYPES.items()}
-    truth |= {name: tuple(truth[name].tolist()) for name in ("angular_dof", "linear_dof")}
-    return Demonstration(truth=ConstraintFrame(**truth), **part)
+        part = run.read(number)
+        truth = {name: part.pop(f"true_{name}") for name in ConstraintFrame.__dataclass_fields__}
+        truth |= {name: kind[str(truth[name])] for name, kind in _TYPES.items()}
+        truth |= {name: tuple(truth[name].tolist()) for name in ("angular_dof", "linear_dof")}
+        yield Demonstration(truth=ConstraintFrame(**truth), **part)

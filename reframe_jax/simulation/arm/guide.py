@@ -98,22 +98,6 @@ A hinge then often takes the arm to its limits, which the status reports.
 """
 
 
-def find_excitation(excitation: str | Excitation, key: jax.Array, free: jax.Array) -> Excitation:
-    """Return a named excitation for a key and the free axes (6,); return a function unchanged."""
-    return EXCITATIONS[excitation](key, free) if isinstance(excitation, str) else excitation
-
-
-def stop_at(end: jax.Array, excitation: Excitation) -> Excitation:
-    """Return an excitation that slows down and rests from the time ``end``, s; infinity changes nothing."""
-
-    def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
-        angular, linear = excitation(t)
-        fraction = _ease(end - t)
-        return fraction * angular, fraction * linear
-
-    return velocity
-
-
 def guide_drive(
     key: jax.Array, frame: Frame, excitation: Excitation, step: float
 ) -> Callable[[jax.Array, jax.Array, Motion, Any], tuple[jax.Array, jax.Array]]:
@@ -174,7 +158,13 @@ def run_guided(
     step, compliance = steps.length, compliance_of(imperfections, joints.dtype)
 
     def simulate_one(frame: Frame, keys: jax.Array, start: jax.Array, velocity: jax.Array) -> Track:
-        velocities = stop_at(end, find_excitation(excitation, keys[1], frame.free))
+        wanted = EXCITATIONS[excitation](keys[1], frame.free) if isinstance(excitation, str) else excitation
+
+        def velocities(t: jax.Array) -> tuple[jax.Array, jax.Array]:
+            angular, linear = wanted(t)
+            fraction = _ease(end - t)
+            return fraction * angular, fraction * linear
+
         drive = guide_drive(keys[0], frame, velocities, step)
         pose = transforms.make_pose(*forward_kinematics(start, arm))
         law = partial(hold, frame.free, step=step, compliance=compliance)

@@ -12,11 +12,6 @@ from reframe_jax.geometry import transforms
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 
 
-def as_numbers(tree: Any, dtype: Any) -> Any:
-    """Convert every number of a pytree to an array of a dtype."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=dtype), tree)
-
-
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Imperfections:
@@ -65,7 +60,7 @@ def check_imperfections(given: Any) -> None:
 
 def by_axis(pair: Any, dtype: Any) -> jax.Array:
     """Expand numbers for (rotations, translations) to six axes, (6,)."""
-    rotations, translations = as_numbers(pair, dtype)
+    rotations, translations = (jnp.asarray(number, dtype=dtype) for number in pair)
     return jnp.stack([rotations] * 3 + [translations] * 3)
 
 
@@ -76,7 +71,7 @@ def compliance_of(imperfections: Imperfections, dtype: Any) -> jax.Array:
 
 def measure(joints: jax.Array, what: Imperfections, key: jax.Array, arm: Arm) -> jax.Array:
     """Simulate the poses (K+1, 4, 4), m, that the robot records at true joint positions (K+1, 7), rad."""
-    given = as_numbers(what, joints.dtype)
+    given = jax.tree.map(lambda number: jnp.asarray(number, dtype=joints.dtype), what)
     noise = jax.random.normal(jax.random.split(key)[0], joints.shape, joints.dtype)
     read = joints + given.encoder_noise * noise
     step = jnp.where(given.encoder_step > 0, given.encoder_step, 1)

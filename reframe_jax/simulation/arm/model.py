@@ -5,7 +5,7 @@ fingertips, z out of the hand. Metres, kilograms, radians.
 """
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 
 import jax
@@ -38,10 +38,12 @@ class Arm:
     home: tuple[float, ...] = (0.0, -0.55, 0.0, -2.15, 0.0, 1.6, 0.785)
     speed: tuple[float, ...] = (2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61)
 
-    @property
+    @cached_property
     def model(self) -> mujoco.MjModel:
         """The MuJoCo model that ``xml`` describes, without gravity; it is shared, so do not change it."""
-        return _compile_model(self)
+        model = mujoco.MjModel.from_xml_string(self.xml)
+        model.opt.gravity[:] = 0
+        return model
 
     @property
     def limits(self) -> np.ndarray:
@@ -56,13 +58,6 @@ class Arm:
     def start(self, joints: ArrayLike | None, dtype: DTypeLike) -> jax.Array:
         """Convert joint positions (..., 7), rad, to an array; None gives the home configuration."""
         return jnp.asarray(self.home if joints is None else joints, dtype=dtype)
-
-
-@cache
-def _compile_model(arm: Arm) -> mujoco.MjModel:
-    model = mujoco.MjModel.from_xml_string(arm.xml)
-    model.opt.gravity[:] = 0
-    return model
 
 
 def _load_arm(name: str) -> Arm:

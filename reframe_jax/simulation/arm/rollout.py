@@ -16,7 +16,6 @@ accurate to second order in h. The friction of the joints is implicit.
 """
 
 from collections.abc import Callable
-from enum import IntEnum
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -25,6 +24,7 @@ import jax.numpy as jnp
 
 from reframe_jax.constraints.located import Frame, Located, locate, multiply, slip, twist_map
 from reframe_jax.geometry.small import solve_positive
+from reframe_jax.motion.checks import MessageCode
 from reframe_jax.simulation.arm.dynamics import Motion, arm_motion
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 
@@ -35,14 +35,11 @@ _SLIPPED = (5e-4, 5e-5)  # rad and m, largest slip of a rigid axis; valid rollou
 
 
 class AxisLaw(NamedTuple):
-    """The law along each of the six axes: u = -(offset + softness f) where ``acts`` is 1, f = 0 elsewhere.
+    """The law along each of the six axes: u = -(offset + softness f) where ``acts`` is 1, f = 0 elsewhere."""
 
-    All arrays are (6,): ``offset`` in rad/s or m/s, ``softness`` in rad/s per N m or m/s per N.
-    """
-
-    acts: jax.Array
-    offset: jax.Array
-    softness: jax.Array
+    acts: jax.Array  # (6,)
+    offset: jax.Array  # (6,) rad/s or m/s
+    softness: jax.Array  # (6,) rad/s per N m or m/s per N
 
 
 def hold(free: jax.Array, slipped: jax.Array, step: float, compliance: jax.Array) -> AxisLaw:
@@ -58,18 +55,13 @@ def hold(free: jax.Array, slipped: jax.Array, step: float, compliance: jax.Array
 class Track(NamedTuple):
     """Motion and forces at the samples of a rollout.
 
-    Attributes:
-        joints: (K+1, 7) rad.
-        velocity: (K+1, 7) rad/s.
-        slip: (K+1, 6) rad and m, displacement along the frame's axes since the start.
-        force: (K+1, 6) N m and N, moments and forces of the environment on the tool along the frame's axes,
-            with forces at the frame's origin, in the step before each sample.
+    The forces are those of the environment on the tool, in the step before each sample.
     """
 
-    joints: jax.Array
-    velocity: jax.Array
-    slip: jax.Array
-    force: jax.Array
+    joints: jax.Array  # (K+1, 7) rad
+    velocity: jax.Array  # (K+1, 7) rad/s
+    slip: jax.Array  # (K+1, 6) rad and m, displacement along the frame's axes since the start
+    force: jax.Array  # (K+1, 6) N m and N, along the frame's axes, with forces at the frame's origin
 
 
 class Steps(NamedTuple):
@@ -137,16 +129,8 @@ def integrate(
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), observe(carry), track)
 
 
-class RolloutStatus(IntEnum):
+class RolloutStatus(MessageCode):
     """Whether the real robot could execute a rollout, and otherwise why not; larger codes are worse."""
-
-    message: str
-
-    def __new__(cls, code: int, message: str = "") -> "RolloutStatus":
-        """Make a code with a message, which explains the outcome."""
-        made = int.__new__(cls, code)
-        made._value_, made.message = code, message
-        return made
 
     OK = 0, "The robot can execute the motion."
     SPEED_LIMIT = 1, "A joint exceeded its speed limit."

@@ -19,7 +19,7 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.segmentation.results import Segmentation
 from reframe_jax.simulation.arm.demonstration import sampling
 from reframe_jax.simulation.arm.dynamics import arm_motion
-from reframe_jax.simulation.arm.imperfections import as_numbers, by_axis
+from reframe_jax.simulation.arm.imperfections import by_axis
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import AxisLaw, RolloutStatus, hold, integrate, rollout_status
 from reframe_jax.simulation.reproduction.controllers import Controller, constant_wrench, control_drive
@@ -97,15 +97,9 @@ def control_frames(found: Identification | ConstraintFrame | Frame) -> Frame:
         return found
     if isinstance(found, ConstraintFrame):
         return frame_arrays(found)
-    return assemble_frame(
-        found.angular.type_code,
-        found.linear.type_code,
-        angular_axes=found.angular.axes,
-        linear_axes=found.linear.axes,
-        position=found.linear.position,
-        angular_dof=found.angular.dof,
-        linear_dof=found.linear.dof,
-    )
+    angular, linear = found.angular, found.linear
+    types, dof = (angular.type_code, linear.type_code), (angular.dof, linear.dof)
+    return assemble_frame(types, (angular.axes, linear.axes), linear.position, dof)
 
 
 def reproduce(
@@ -147,7 +141,7 @@ def reproduce(
     return _reproduce(
         frame_arrays(truth),
         jax.tree.map(lambda leaf: leaf.astype(dtype) if leaf.dtype != bool else leaf, control),
-        as_numbers(controller, dtype),
+        jax.tree.map(lambda number: jnp.asarray(number, dtype=dtype), controller),
         by_axis(compliance, dtype),
         arm.start(start, dtype),
         arm=arm,
