@@ -35,36 +35,30 @@ class Constraint:
     position: tuple[bool, bool, bool]
 
 
-def _row(
-    label: str,
-    name: str,
-    angular: str,
-    linear: str,
-    kind: str,
-    axes: tuple[int | None, int | None],
-    unique: str,
-) -> Constraint:
+def _row(label: str, name: str, angular: str, linear: str, kind: str, unique: str) -> Constraint:
     angular_dof, linear_dof = (cast(Dof, tuple(map(int, text))) for text in (angular, linear))
     position = ("x" in unique, "y" in unique, "z" in unique)
-    kinds = LinearType[kind] if kind else None
-    return Constraint(label, name, angular_dof, linear_dof, kinds, *axes, position)
+    axes = distinct_axis(angular_dof), distinct_axis(linear_dof)
+    return Constraint(
+        label, name, angular_dof, linear_dof, LinearType[kind] if kind else None, *axes, position
+    )
 
 
 CONSTRAINTS: dict[str, Constraint] = {
     row.label: row
     for row in (
-        _row("A", "Revolute joint", "010", "000", "", (1, None), "xz"),
-        _row("B", "Prismatic joint", "000", "100", "", (None, 0), ""),
-        _row("C", "Cylinder joint", "100", "100", "", (0, 0), "yz"),
-        _row("D", "Plane-plane contact", "001", "110", "", (2, 2), ""),
-        _row("E", "Planar contour following", "010", "100", "BB", (1, 0), "x"),
-        _row("F", "Planar contour rolling", "010", "100", "GG", (1, 0), "x"),
-        _row("G", "Cart on a curved surface", "111", "110", "BB", (None, 2), "xy"),
-        _row("H", "Contour rolling", "111", "100", "GG", (None, 0), "xyz"),
-        _row("I", "Planar pin-plane contact", "010", "100", "GB", (1, 0), "xz"),
-        _row("J", "Planar plane-pin contact", "010", "100", "BG", (1, 0), "xz"),
-        _row("K", "Pin-plane contact", "111", "110", "GB", (None, 2), "xyz"),
-        _row("L", "Plane-pin contact", "111", "110", "BG", (None, 2), "xyz"),
+        _row("A", "Revolute joint", "010", "000", "", "xz"),
+        _row("B", "Prismatic joint", "000", "100", "", ""),
+        _row("C", "Cylinder joint", "100", "100", "", "yz"),
+        _row("D", "Plane-plane contact", "001", "110", "", ""),
+        _row("E", "Planar contour following", "010", "100", "BB", "x"),
+        _row("F", "Planar contour rolling", "010", "100", "GG", "x"),
+        _row("G", "Cart on a curved surface", "111", "110", "BB", "xy"),
+        _row("H", "Contour rolling", "111", "100", "GG", "xyz"),
+        _row("I", "Planar pin-plane contact", "010", "100", "GB", "xz"),
+        _row("J", "Planar plane-pin contact", "010", "100", "BG", "xz"),
+        _row("K", "Pin-plane contact", "111", "110", "GB", "xyz"),
+        _row("L", "Plane-pin contact", "111", "110", "BG", "xyz"),
     )
 }
 """The twelve constraints of the paper's Table 2, by label."""
@@ -72,11 +66,11 @@ CONSTRAINTS: dict[str, Constraint] = {
 OTHER_CONSTRAINTS: dict[str, Constraint] = {
     row.label: row
     for row in (
-        _row("spherical", "Spherical joint", "111", "000", "", (None, None), "xyz"),
-        _row("universal", "Universal joint", "110", "000", "", (2, None), "xyz"),
-        _row("screw", "Screw joint", "100", "100", "", (0, 0), "yz"),
-        _row("fixed", "Fixed", "000", "000", "", (None, None), ""),
-        _row("unconstrained", "Unconstrained", "111", "111", "", (None, None), ""),
+        _row("spherical", "Spherical joint", "111", "000", "", "xyz"),
+        _row("universal", "Universal joint", "110", "000", "", "xyz"),
+        _row("screw", "Screw joint", "100", "100", "", "yz"),
+        _row("fixed", "Fixed", "000", "000", "", ""),
+        _row("unconstrained", "Unconstrained", "111", "111", "", ""),
     )
 }
 """Named constraints that are not in the paper, by label."""

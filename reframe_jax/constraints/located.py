@@ -26,43 +26,28 @@ _LINEAR_ON_BODY = np.stack([ORIENTATION_BODIES, POSITION_BODIES], axis=1) == Ang
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Frame:
-    """A constraint frame as arrays, with frame types and degrees of freedom that may vary in a batch.
+    """A constraint frame as arrays, with frame types and degrees of freedom that may vary in a batch."""
 
-    Attributes:
-        angular_axes: (..., 3, 3), columns are the angular frame's axes, in the body that they are fixed in.
-        linear_axes: (..., 3, 3), columns are the linear frame's axes, in the body that they are fixed in.
-        position: (..., 3) m, origin of the linear frame, in the body that it is fixed in.
-        free: (..., 6), 1 for free axes and 0 for constrained axes; angular axes, then linear axes.
-        on_body: (..., 3) bool, whether the angular axes, the linear axes and the origin are fixed in {b}.
-    """
-
-    angular_axes: jax.Array
-    linear_axes: jax.Array
-    position: jax.Array
-    free: jax.Array
-    on_body: jax.Array
+    angular_axes: jax.Array  # (..., 3, 3), columns are the axes, in the body that they are fixed in
+    linear_axes: jax.Array  # (..., 3, 3), columns are the axes, in the body that they are fixed in
+    position: jax.Array  # (..., 3) m, origin of the linear frame, in the body that it is fixed in
+    free: jax.Array  # (..., 6), 1 for free axes and 0 for constrained axes; angular axes, then linear axes
+    on_body: jax.Array  # (..., 3) bool, whether angular axes, linear axes and origin are fixed in {b}
 
 
 class Located(NamedTuple):
-    """A constraint frame at an instant, in the axes of {g}.
+    """A constraint frame at an instant, in the axes of {g}."""
 
-    Attributes:
-        rotation: (3, 3), orientation of {b} in {g}.
-        angular_axes: (3, 3), columns are the angular frame's axes.
-        linear_axes: (3, 3), columns are the linear frame's axes.
-        lever: (3,) m, vector from the origin of {b} to the linear frame's origin.
-        path: (3,) m, position of the linear frame's origin relative to the other body: the body in which the
-            origin is *not* fixed, and in which it moves. If the origin is fixed in {g}, the position is
-            negated, so that its derivative is the velocity of the body relative to the ground.
-        path_axes: (3, 3), columns are the linear axes in the other body. The velocity along each axis is the
-            dot product of the axis and the derivative of ``path``.
-    """
-
-    rotation: jax.Array
-    angular_axes: jax.Array
-    linear_axes: jax.Array
-    lever: jax.Array
+    rotation: jax.Array  # (3, 3), orientation of {b} in {g}
+    angular_axes: jax.Array  # (3, 3), columns are the angular frame's axes
+    linear_axes: jax.Array  # (3, 3), columns are the linear frame's axes
+    lever: jax.Array  # (3,) m, vector from the origin of {b} to the linear frame's origin
+    # (3,) m, position of the linear frame's origin relative to the other body: the body in which the origin
+    # is *not* fixed, and in which it moves. If the origin is fixed in {g}, the position is negated, so that
+    # its derivative is the velocity of the body relative to the ground
     path: jax.Array
+    # (3, 3), columns are the linear axes in the other body. The velocity along each axis is the dot product
+    # of the axis and the derivative of ``path``
     path_axes: jax.Array
 
 

@@ -7,9 +7,10 @@ matrices (einsum, solve, eigh) are slower.
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import custom_jvp, lax
 
-Symmetric = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
+Symmetric = tuple[jax.Array, ...]
 Vector = tuple[jax.Array, jax.Array, jax.Array]
 
 INDEX_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -20,8 +21,7 @@ _JACOBI_SWEEPS = 5  # quadratic convergence: in the worst case, 4 sweeps reach f
 
 def to_matrix(s: Symmetric) -> jax.Array:
     """Build symmetric matrices (..., 3, 3) from six arrays (...): xx, xy, xz, yy, yz, zz."""
-    rows = [jnp.stack([s[PACKED[i][j]] for j in range(3)], axis=-1) for i in range(3)]
-    return jnp.stack(rows, axis=-2)
+    return jnp.moveaxis(jnp.stack(s)[np.array(PACKED)], (0, 1), (-2, -1))
 
 
 def _reciprocal(x: jax.Array) -> jax.Array:

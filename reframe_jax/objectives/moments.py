@@ -70,5 +70,4 @@ def covariance_at(moments: jax.Array, position: Vector) -> Symmetric:
         in_x = q[1] + x * q[4] + y * q[5] + z * q[6]
         in_y = q[2] + y * q[7] + z * q[8]
         total = q[0] + x * in_x + y * in_y + z * (q[3] + z * q[9])
-    xx, xy, xz, yy, yz, zz = total
-    return xx, xy, xz, yy, yz, zz
+    return tuple(total)

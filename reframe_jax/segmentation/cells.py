@@ -22,36 +22,24 @@ _SAMPLES = 4000  # pairs of poses in one value of the structure function
 
 @dataclass(frozen=True)
 class Cells:
-    """Cells of a recording, and the sizes of its motion and noise.
+    """Cells of a recording, and the sizes of its motion and noise."""
 
-    Attributes:
-        rotation, position: (P, 3, 3) rotations of the body, and (P, 3) m, its positions, at all poses.
-        reach: half the width of the cube in which origins are searched, m.
-        linear: (4, N, 12) features of the linear types BB, GB, GG, BG. The coordinate of an origin x along
-            a direction n is the scalar product of a feature with the matrix n (1, x), row by row.
-        angular: (2, N, 3) rad, integral of the angular velocity in the ground and in the body.
-        samples: number of poses per cell.
-        duration: duration of a cell, s.
-        motion_time: time in which the motion gives one independent value, s.
-        motion: (2,) m and rad, amplitudes of a translation and of a rotation.
-        floor: (2,) m and rad, residuals below this size count as zero.
-        progress: (N + 1,) number of cells of usual motion that equals the motion before each cell.
-        chance: (L,) logarithms of span lengths in cells, and (L, 4, 4) sums of the logarithms of the sizes in
-            m and rad of 0 to 3 translations and 0 to 3 rotations, fitted to motion without any held
-            coordinate; empty before :func:`with_chance`.
-    """
-
-    rotation: np.ndarray
-    position: np.ndarray
-    reach: float
+    rotation: np.ndarray  # (P, 3, 3) rotations of the body at all poses
+    position: np.ndarray  # (P, 3) m, its positions
+    reach: float  # m, half the width of the cube in which origins are searched
+    # (4, N, 12) features of the linear types BB, GB, GG, BG. The coordinate of an origin x along a direction
+    # n is the scalar product of a feature with the matrix n (1, x), row by row
     linear: np.ndarray
-    angular: np.ndarray
-    samples: int
-    duration: float
-    motion_time: float
-    motion: np.ndarray
-    floor: np.ndarray
-    progress: np.ndarray
+    angular: np.ndarray  # (2, N, 3) rad, integral of the angular velocity in the ground and in the body
+    samples: int  # number of poses per cell
+    duration: float  # s, duration of a cell
+    motion_time: float  # s, time in which the motion gives one independent value
+    motion: np.ndarray  # (2,) m and rad, amplitudes of a translation and of a rotation
+    floor: np.ndarray  # (2,) m and rad, residuals below this size count as zero
+    progress: np.ndarray  # (N + 1,) number of cells of usual motion that equals the motion before each cell
+    # (L,) logarithms of span lengths in cells, and (L, 4, 4) sums of the logarithms of the sizes in m and rad
+    # of 0 to 3 translations and 0 to 3 rotations, fitted to motion without any held coordinate; empty before
+    # :func:`with_chance`
     chance: tuple[np.ndarray, ...] = ()
 
     def references(self, spans: np.ndarray) -> np.ndarray:

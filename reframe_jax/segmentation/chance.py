@@ -22,7 +22,10 @@ def with_chance(cells: Cells) -> Cells:
     rotations are a fourth copy.
     """
     number = cells.linear.shape[1]
-    path, speed = _path(cells)
+    # positions and lever times rotations, (N, 6) m, and the distances between cells, (N - 1,)
+    path = np.concatenate([cells.linear[1, :, ::4], C.lever * cells.angular[1]], axis=1)
+    noise = 6 * float(np.sum(np.square(cells.floor * (1, C.lever))))
+    speed = np.sqrt(np.maximum(np.sum(np.diff(path, axis=0) ** 2, axis=1) - noise, 0))
     stops = find_stops(speed)
     lengths = 2 ** np.arange(2, max(3, min(10, int(np.log2(number)) + 1)))
     chance = []
@@ -38,13 +41,6 @@ def with_chance(cells: Cells) -> Cells:
         chance.append(np.quantile(logs[:, :, None] + turns[:, None], C.chance, axis=0))
     known = np.log(lengths), np.stack(chance)
     return dataclasses.replace(cells, chance=known, progress=_progress(path, speed))
-
-
-def _path(cells: Cells) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and lever times rotations (N, 6) m, and the distance between cells, (N - 1,)."""
-    path = np.concatenate([cells.linear[1, :, ::4], C.lever * cells.angular[1]], axis=1)
-    noise = 6 * float(np.sum(np.square(cells.floor * (1, C.lever))))
-    return path, np.sqrt(np.maximum(np.sum(np.diff(path, axis=0) ** 2, axis=1) - noise, 0))
 
 
 def find_stops(speed: np.ndarray) -> np.ndarray:

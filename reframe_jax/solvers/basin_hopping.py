@@ -91,31 +91,28 @@ class BasinHopping:
     tolerance: float = 1e-4
     rounds: int = 0
 
-    def init(
-        self, objective: Objective, box: Box, key: jax.Array, starts: jax.Array | None = None
-    ) -> SearchState:
+    def init(self, objective: Objective, box: Box, key: jax.Array) -> SearchState:
         """Return the initial state, with the starts of all chains and infinite values.
+
+        The starts are quasi-random points, equal for all problems; with ``rounds``, also points derived from
+        the data.
 
         Args:
             objective: the problems.
             box: bounds of the search.
             key: JAX random key.
-            starts: (dim, restarts, ...) starts of the chains. By default, quasi-random points, equal for all
-                problems; with ``rounds``, also points derived from the data.
 
         Raises:
             ValueError: if the objective is not an :class:`Objective`.
         """
         check_objective(objective)
         seed_key, key = random.split(key)
-        if starts is None:
-            suggested = round(_SUGGESTED * self.restarts) if self.rounds else 0
-            starts = even_starts(objective, box, seed_key, self.restarts - suggested)
-            if suggested:
-                next_key = random.fold_in(seed_key, 1)
-                more = suggested_starts(objective, box, next_key, suggested, _CANDIDATES[0])
-                starts = jnp.concatenate([starts, more], axis=1)
-        x = jnp.broadcast_to(starts, (objective.dim, self.restarts, *objective.batch))
+        suggested = round(_SUGGESTED * self.restarts) if self.rounds else 0
+        x = even_starts(objective, box, seed_key, self.restarts - suggested)
+        if suggested:
+            next_key = random.fold_in(seed_key, 1)
+            more = suggested_starts(objective, box, next_key, suggested, _CANDIDATES[0])
+            x = jnp.concatenate([x, more], axis=1)
         value = jnp.full(x.shape[1:], jnp.inf, dtype=objective.dtype)
         return SearchState(jnp.zeros((), jnp.int32), key, x, value, x, value)
 
@@ -161,15 +158,13 @@ class BasinHopping:
         close = state.best_value < value[None] + 1e-3
         return Solution(x, value, jnp.mean(close.astype(value.dtype), axis=0))
 
-    def minimise(
-        self, objective: Objective, box: Box, key: jax.Array, starts: jax.Array | None = None
-    ) -> Solution:
+    def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
         """Run the whole search: :meth:`init`, :meth:`step` until every problem is done, and :meth:`finish`.
 
         Arguments and errors as in :meth:`init`. A converged problem is done after one step; the others after
         1 + ``hops`` + ``polish`` steps, in each of their rounds.
         """
-        state = self.init(objective, box, key, starts)
+        state = self.init(objective, box, key)
         last = 1 + self.hops + self.polish
 
         def continues(carry: _Carry) -> jax.Array:

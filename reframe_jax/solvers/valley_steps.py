@@ -34,8 +34,7 @@ class ValleySteps(MomentsSteps):
             weights = jax.grad(log_norm)(norm.covariance(x), norm.exponent)
 
             def bound(x: jax.Array) -> jax.Array:
-                terms = [w * s for w, s in zip(weights, norm.covariance(x), strict=True)]
-                return sum(terms[1:], terms[0])
+                return jnp.sum(jnp.stack(weights) * jnp.stack(norm.covariance(x)))
 
             down = steps_in_box(x, box.low, box.high, gradient, jax.hessian(bound)(x))[:1]
             steps = jnp.concatenate([steps_in_box(x, box.low, box.high, gradient, hessian), down])
