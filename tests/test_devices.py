@@ -33,21 +33,20 @@ SCRIPT = """
     identify = functools.partial(rf.identify, solver=OneStep())
     expected = identify(poses, dt=0.1)
     assert len(np.unique(np.round(expected.linear.norm, 9))) == 12
-    # each combination below compiles a program: equal times on one device, own times on three
+    # each combination below compiles a program: equal times on one device; own times on three, in more than
+    # one piece on a device, the last of them not full, with rows of several windows
     steps = np.linspace(0.1, 0.2, 12)[:, None] * np.ones((1, poses.shape[1] - 1))
-    for count, dt in ((1, 0.1), (3, steps)):
+    for count, dt, copies, rows in ((1, 0.1, 1, (12,)), (3, steps, 77, (84, 11))):
         mesh = jax.make_mesh((count,), ("windows",), devices=jax.devices()[:count])
         sharding = jax.NamedSharding(mesh, jax.P("windows"))
-        found, alone = identify(jax.device_put(poses, sharding), dt=dt), identify(poses, dt=dt)
+        many = np.tile(poses, (copies, 1, 1, 1)).reshape(*rows, *poses.shape[1:])
+        own = dt if count == 1 else np.tile(dt, (copies, 1)).reshape(*rows, -1)
+        found, alone = identify(jax.device_put(many, sharding), dt=own), identify(poses, dt=dt)
+        assert found.linear.norm.shape == rows
         assert len(found.linear.norm.sharding.device_set) == count
-        np.testing.assert_allclose(found.linear.norm, alone.linear.norm, rtol=1e-9)
-        np.testing.assert_allclose(found.linear.position, alone.linear.position, atol=1e-6)
-    # more than one piece on a device, the last of them not full, with rows of several windows
-    many = np.tile(poses, (77, 1, 1, 1))
-    found = identify(jax.device_put(many.reshape(84, 11, *poses.shape[1:]), sharding), dt=0.1)
-    assert found.linear.norm.shape == (84, 11)
-    assert len(found.linear.norm.sharding.device_set) == 3
-    np.testing.assert_allclose(found.linear.norm.ravel(), np.tile(expected.linear.norm, 77), rtol=1e-9)
+        norms, positions = found.linear.norm.ravel(), found.linear.position.reshape(-1, 3)
+        np.testing.assert_allclose(norms, np.tile(alone.linear.norm, copies), rtol=1e-9)
+        np.testing.assert_allclose(positions, np.tile(alone.linear.position, (copies, 1)), atol=1e-6)
     everywhere = identify(jax.device_put(poses, jax.NamedSharding(mesh, jax.P())), dt=0.1)
     np.testing.assert_allclose(everywhere.linear.norm, expected.linear.norm, rtol=1e-9)
     nowhere = jax.NamedSharding(mesh, jax.P(None, None, None, None))

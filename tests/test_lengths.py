@@ -20,13 +20,13 @@ def recording():
 
 
 def test_a_search_ends_at_the_same_place_padded(recording, monkeypatch):
-    """By a program for its length, and by one for more than three times as many poses, with more scales."""
-    window, found = recording[:70], []
-    for fewest in (1000, 0):
-        monkeypatch.setattr(inputs, "_FEWEST", fewest)
-        assert inputs.padded_size(70) == (70 if fewest else 256)
+    """By a program for its length, and by one for four times as many poses, with more scales."""
+    window, found = recording[:64], []
+    for shortest in (64, 256):
+        monkeypatch.setattr(inputs, "_SHORT", shortest)
+        assert inputs.padded_size(64) == shortest
         found.append(rf.identify(window, dt=DT))
-        assert found[-1].counted.shape == (70,)
+        assert found[-1].counted.shape == (64,)
     single, padded = found
     assert single.name == padded.name == "Pin-plane contact"
     for x, y in zip(*((each.angular, each.linear) for each in found), strict=True):

@@ -47,30 +47,35 @@ def run(folder: Path) -> tuple[str, str]:
     return done.stdout.strip(), done.stderr
 
 
-def test_a_later_process_does_not_trace(tmp_path: Path) -> None:
-    assert run(tmp_path)[0] == "2"
-    assert len(list((tmp_path / "programs").iterdir())) == 2
-    assert run(tmp_path)[0] == "0"
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a first process; tests that damage it also see it repaired."""
+    folder = tmp_path_factory.mktemp("first")
+    assert run(folder)[0] == "2"
+    return folder
 
 
-def test_a_damaged_file_is_replaced(tmp_path: Path) -> None:
-    run(tmp_path)
-    one, other = (tmp_path / "programs").iterdir()
+def test_a_later_process_does_not_trace(first: Path) -> None:
+    assert len(list((first / "programs").iterdir())) == 2
+    assert run(first)[0] == "0"
+
+
+def test_a_damaged_file_is_replaced(first: Path) -> None:
+    one, other = (first / "programs").iterdir()
     whole = one.read_bytes()
     one.write_bytes(whole[:-10])
     other.write_bytes(b"")
-    assert run(tmp_path)[0] == "2"
+    assert run(first)[0] == "2"
     assert len(one.read_bytes()) == len(whole)
-    assert run(tmp_path)[0] == "0"
+    assert run(first)[0] == "0"
 
 
-def test_a_compiled_program_that_cannot_be_read_is_replaced(tmp_path: Path) -> None:
-    run(tmp_path)
-    entries = list(tmp_path.glob("jit_*-cache"))
+def test_a_compiled_program_that_cannot_be_read_is_replaced(first: Path) -> None:
+    entries = list(first.glob("jit_*-cache"))
     whole = [entry.read_bytes() for entry in entries]
     for entry in entries:
         entry.write_bytes(b"damaged")
-    assert run(tmp_path) == ("0", "")
+    assert run(first) == ("0", "")
     for entry, content in zip(entries, whole, strict=True):
         assert len(entry.read_bytes()) > len(content) / 2
 

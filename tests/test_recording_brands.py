@@ -245,11 +245,11 @@ KINDS: dict[str, tuple[Callable[..., np.ndarray], int, bool]] = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_order_of_quaternions_is_rarely_doubted_in_free_motions(kind: str) -> None:
-    """Of 80 motions, short and long, with little and much noise, in both orders."""
+    """Of 40 motions, short and long, with little and much noise, in both orders."""
     make, width, constrained = KINDS[kind]
     wrong, noticed = [], []
     for seed, (cycles, count), noise in product(
-        range(10), ((0.5, 60), (1, 100), (2, 250), (6, 400)), (1e-4, 1e-3)
+        range(5), ((0.5, 60), (1, 100), (2, 250), (6, 400)), (1e-4, 1e-3)
     ):
         rng = np.random.default_rng([seed, count, int(1e6 * noise)])
         times = np.linspace(0, cycles, count)

@@ -1,5 +1,6 @@
 """Tasks of several constraints, stage by stage."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -35,7 +36,8 @@ def test_each_stage_begins_where_the_last_one_ended(played: reproduction.Sequenc
 def test_a_segmentation_is_played_in_its_own_frames(played: reproduction.SequenceTrial) -> None:
     parts, start = [], 0
     for label, stage in enumerate(played.stages):
-        identified = rf.identify(np.asarray(stage.poses)[:30], dt=0.05)
+        # on the host: arrays that are bound to a device would be another program
+        identified = jax.device_get(rf.identify(np.asarray(stage.poses)[:30], dt=0.05))
         parts.append(Segment(start, start + 101, label, identified))
         start += 101
     found = Segmentation(tuple(parts), (), 0.05 * np.arange(start), 1.0)
