@@ -1,4 +1,6 @@
-"""Evidence that the search is global, and that its two routes agree."""
+"""Evidence that the search is global."""
+
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +11,7 @@ import benchmarks.motions  # noqa: F401, adds the excitation "slow"
 import reframe_jax as rf
 from benchmarks.dual_annealing import six_moments
 from reframe_jax.identification.paper import default_solver
-from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
+from reframe_jax.objectives.velocity import PositionObjective
 from reframe_jax.simulation import synthetic
 from reframe_jax.solvers import Box, JointSearch
 
@@ -23,7 +25,7 @@ def simulated(label, noises=NOISES, seeds=SEEDS, excitation="exciting"):
     keys = jax.random.split(jax.random.key(11), seeds * len(noises))
     tiled = jnp.tile(jnp.asarray(noises), seeds)
     simulate = jax.vmap(lambda k, s: synthetic.simulate(frame, k, noise=s, excitation=excitation).poses)
-    poses = jax.jit(simulate)(keys, tiled)
+    poses = simulate(keys, tiled)  # not compiled as one: every constraint would be a program
     centre = jnp.mean(poses[..., :3, 3], axis=1)
     return poses.at[..., :3, 3].add(-centre[:, None]), centre
 
@@ -42,9 +44,14 @@ def problems(windows):
 CUBE = Box(-jnp.ones(3), jnp.ones(3))
 
 
-def search(solver, objective, box=CUBE, seed=0):
+@partial(jax.jit, static_argnums=0)
+def minimise(solver, objective, key):
+    return solver.minimise(objective, CUBE, key)
+
+
+def search(solver, objective, seed=0):
     """Value of every problem, (windows, 4)."""
-    return jax.jit(solver.minimise)(objective, box, jax.random.key(seed)).value
+    return minimise(solver, objective, jax.random.key(seed)).value
 
 
 def test_the_searches_reach_the_best_of_64_long_searches(windows, problems):
@@ -80,22 +87,10 @@ LARGEST_MISS = 0.03 if jax.__version_info__ < (0, 11) else 0.06
 
 
 @pytest.mark.parametrize(("exponent", "missed"), [(-np.inf, LARGEST_MISS), (-1.0, 1e-3), (1.0, 1e-3)])
-def test_other_norms_reach_the_best_of_longer_searches(problems, exponent, missed):
+def test_other_norms_reach_the_best_of_a_longer_search(problems, exponent, missed):
     some = PositionObjective(problems[:, :, ::12], exponent)
-    long = rf.BasinHopping(rf.ValleySteps(20), restarts=48, hops=2)
     joint = JointSearch(rf.BasinHopping(rf.FrameSteps(15), restarts=48, hops=4), refine=rf.ValleySteps(10))
-    best = jnp.minimum(search(long, some, seed=1), search(joint, some, seed=1))
+    best = search(joint, some, seed=1)
     found = search(default_solver(exponent), some)
     best = jnp.minimum(best, found)
     assert np.mean(np.asarray(found - best) > 1e-3) <= missed
-
-
-def test_searching_rotation_and_position_finds_the_optimum_of_the_closed_form(problems):
-    """The two routes agree to 1e-6 relative, problem by problem."""
-    some = problems[:, :, 4::24]
-    eliminated = search(default_solver(), PositionObjective(some))
-    turn = jnp.full(3, jnp.pi)
-    box = Box(jnp.concatenate([-turn, CUBE.low]), jnp.concatenate([turn, CUBE.high]))
-    solver = rf.BasinHopping(rf.FrameSteps(15), restarts=16, hops=2, refine=rf.FrameSteps(60))
-    full = search(solver, FrameObjective(some), box)
-    np.testing.assert_allclose(np.exp(np.asarray(full - eliminated)), 1, atol=1e-6)
