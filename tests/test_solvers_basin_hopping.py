@@ -115,8 +115,8 @@ class TestBasinHopping:
         short = search(dataclasses.replace(rounds, rounds=1), moments, KEY, POSITIONS)
         found = search(rounds, moments, KEY, POSITIONS)
         gain = np.min(np.asarray(first.value), axis=0) - np.asarray(found.value)
-        assert np.all(gain >= 0)
-        np.testing.assert_allclose(gain[tolerance], 0, atol=1e-9)
+        assert np.all(gain > -1e-6)  # two programs round differently
+        np.testing.assert_allclose(gain[tolerance], 0, atol=1e-6)
         assert np.max(gain) > 0.1
         assert np.max(np.asarray(short.value - found.value)) > 0.1
         for i in (0, 3, 11):
