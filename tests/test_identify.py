@@ -100,6 +100,13 @@ def test_thresholds_keep_the_best_type_and_describe_the_free_axes(label):
             assert name.endswith(str(found[k].linear.frame_type))
             assert f"{turns[k]} rotation" in name
             assert f"{shifts[k]} translation" in name
+    if label in "HKL":
+        free = np.trace(found.linear.free_position, axis1=-2, axis2=-1)
+        assert np.all(free[turns == 2] == 0)
+    # every origin is valid if all translations are free, also if a rotation is not
+    loose = rf.identify(poses, dt=0.02, **PAPER | {"thresholds": rf.Thresholds(angular=0.3, linear=0.0)})
+    assert np.all(np.sum(loose.linear.dof, axis=-1) == 3)
+    np.testing.assert_allclose(np.trace(loose.linear.free_position, axis1=-2, axis2=-1), 3)
     # amplitudes are those of the whole recording, in metres: a slide of 0.15 m/s at 1 rad/s
     if label == "B":
         assert np.all(found.linear.amplitude[:, 2] > 0.01)

@@ -213,7 +213,9 @@ def _report_window(
     any_origin = jnp.asarray(_ANY_ORIGIN)[known]
     directions = bodies[jnp.asarray(POSITION_BODIES)[kind]]
     if thresholds is not None:
-        any_origin = any_origin & (code >= 0)
+        # without an entry in the table, every origin is valid only if all translations are free
+        every_origin = jnp.all(dof_by_thresholds(types, thresholds)[1][kind] == 1)
+        any_origin = jnp.where(code >= 0, any_origin, every_origin)
         directions = _directions_of_types(types, kind, jnp.asarray(_NORMAL)[known])
     free_position = (directions * any_origin) @ directions.T
     at_bound = jnp.any(jnp.abs(parameters.origin) > _AT_BOUND * window.box) & ~jnp.all(any_origin)
