@@ -183,7 +183,8 @@ def _report_window(
     if thresholds is None:
         winner = winner_of_window(solved, data)
     else:
-        winner = winner_by_thresholds(types, solved, thresholds)
+        angular_dof_all, linear_dof_all = dof_by_thresholds(types, thresholds)
+        winner = winner_by_thresholds(types, solved, angular_dof_all, linear_dof_all)
     code, parameters = winner.code, winner.parameters
     known, kind = jnp.maximum(code, 0), winner.kind
     bodies = jnp.stack([ground_axes(parameters, mean), parameters.axes])  # by AngularType
@@ -214,7 +215,7 @@ def _report_window(
     directions = bodies[jnp.asarray(POSITION_BODIES)[kind]]
     if thresholds is not None:
         # without an entry in the table, every origin is valid only if all translations are free
-        every_origin = jnp.all(dof_by_thresholds(types, thresholds)[1][kind] == 1)
+        every_origin = jnp.all(linear_dof_all[kind] == 1)
         any_origin = jnp.where(code >= 0, any_origin, every_origin)
         directions = _directions_of_types(types, kind, jnp.asarray(_NORMAL)[known])
     free_position = (directions * any_origin) @ directions.T
@@ -229,7 +230,6 @@ def _report_window(
             angular_dof_all = _last_free(jnp.sum(angular_all.dof[0]), 2)
             linear_dof_all = _last_free(jnp.sum(linear.dof), 4)
         else:
-            angular_dof_all, linear_dof_all = dof_by_thresholds(types, thresholds)
             angular_type = jnp.argmin(types.angular_norm).astype(jnp.int32)
         every_scale = jnp.einsum("s,sfg->fg", window.moments.scale_weight, window.moments.products)
         rows_along = partial(_rows_along, total=every_scale)

@@ -70,10 +70,16 @@ def dof_by_thresholds(types: Types, thresholds: Thresholds) -> tuple[Array, Arra
     )
 
 
-def winner_by_thresholds(types: Types, solved: Solved, thresholds: Thresholds) -> Winner:
-    """Choose by the paper's rule: the types with the lowest norms, and free axes by thresholds."""
+def winner_by_thresholds(types: Types, solved: Solved, angular: Array, linear: Array) -> Winner:
+    """Choose by the paper's rule: the types with the lowest norms, and their degrees of freedom.
+
+    Args:
+        types: the best frames of all types.
+        solved: result of the model; only its origins are used.
+        angular: (2, 3) degrees of freedom of the angular types, by :func:`dof_by_thresholds`.
+        linear: (4, 3) degrees of freedom of the linear types.
+    """
     a, linear_type = (jnp.argmin(norm).astype(jnp.int32) for norm in (types.angular_norm, types.linear_norm))
-    angular, linear = dof_by_thresholds(types, thresholds)
     r, t = jnp.sum(angular[a]), jnp.sum(linear[linear_type])
     # angle between the single free or held axes, in the body in which the linear frame is fixed
     turn = types.angular_axes[jnp.asarray(ORIENTATION_BODIES)[linear_type]]
