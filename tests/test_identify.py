@@ -11,7 +11,9 @@ import reframe_jax as rf
 from benchmarks.motions import random_motion
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification import entry
+from reframe_jax.identification.cautions import Caution
 from reframe_jax.simulation import metrics, synthetic
+from reframe_jax.simulation.motions import PoseErrors, disturb
 from reframe_jax.solvers import Solution
 
 NOISES = np.logspace(-6, -4, 5)
@@ -180,6 +182,18 @@ def test_norm_of_single_steps_is_the_geometric_mean_of_rms(mixed):
         np.testing.assert_array_equal(frame.norm, norms[np.arange(12), np.asarray(frame.type_code)])
         assert np.all(np.diff(np.asarray(frame.rms), axis=-1) >= 0)
         np.testing.assert_allclose(np.linalg.det(np.asarray(frame.axes)), 1, rtol=1e-9)
+
+
+def test_names_and_amplitudes_are_those_of_the_recording_at_any_scale_of_the_search(mixed):
+    found = rf.identify(mixed, dt=0.1, scales=1, bounds=1.0)
+    assert list(found.name) == [rf.CONSTRAINTS[label].name for label in rf.CONSTRAINTS]
+    assert not np.any(found.warning_codes & Caution.NOISY_SCALE)
+    default = rf.identify(mixed, dt=0.1)
+    np.testing.assert_allclose(found.linear.amplitude[:, 2], default.linear.amplitude[:, 2], rtol=0.1)
+    noise = PoseErrors(sigma=0.02)
+    noisy = jax.vmap(disturb, in_axes=(0, None, None, None))(mixed, jax.random.key(0), noise, 0.1)
+    found = rf.identify(noisy, dt=0.1, scales=1, bounds=1.0)
+    assert np.all(found.warning_codes & Caution.NOISY_SCALE)
 
 
 def test_amplitudes_tell_free_axes_from_constrained_ones(mixed):

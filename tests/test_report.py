@@ -479,6 +479,7 @@ def test_an_explanation_says_which_part_of_the_frame_is_unclear(
             Caution.IMPROBABLE_ASSUMED | Caution.FEW_VELOCITIES,
             "Other constraints fit better than the assumed one (probability 0.30).",
         ),
+        (Caution.NOISY_SCALE, "At a chosen time scale, the motion is less than 6 times the noise"),
     ],
 )
 def test_advice_on_an_improbable_name_depends_on_the_recording(code: Caution, sentence: str) -> None:

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.identification.classify import Thresholds
+from reframe_jax.model.constants import SCALES
 
 _FEW = 12  # largest number of velocities at which many windows are identified wrongly
 _CLOSE = 1.5  # largest ratio of a velocity to a threshold, or its inverse, at which they count as close
@@ -30,6 +31,8 @@ class Caution(IntFlag):
     """The probability of the constraint that the caller assumes is below 1/2."""
     UNORDERED = 2048
     """The poses are not in the order of a motion, such as separate touches or shuffled rows."""
+    NOISY_SCALE = 8192
+    """The motion exceeds the noise too little at a time scale that the caller chose (see ``SCALES``)."""
 
 
 def caution_codes(
@@ -95,6 +98,11 @@ def caution_sentences(
         uncertain = f"The name is uncertain ({stated})."
         remedy = " Record a larger motion along every free direction."
         sentences.append(uncertain + ("" if Caution.FEW_VELOCITIES in found else remedy))
+    if Caution.NOISY_SCALE in found:
+        sentences.append(
+            f"At a chosen time scale, the motion is less than {SCALES.above_noise:g} times the noise, which "
+            "can distort the frame. scales='auto' leaves out such scales."
+        )
     close = [
         f"{group} axis {axis + 1} ({speeds[i][axis]:.3g} {unit})"
         for i, (group, unit) in enumerate((("angular", "rad/s"), ("linear", "m/s")))

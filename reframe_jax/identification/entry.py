@@ -68,7 +68,7 @@ def identify(
             exceeds the noise, and leaves out outliers. 1 is the paper's choice: differences of consecutive
             poses, outliers included. ``"mean"`` compares all poses with their mean and needs no order;
             ``"auto"`` does the same for a single window of poses without order, such as separate touches or
-            shuffled rows.
+            shuffled rows. Probabilities and amplitudes are those of the whole recording at any scales.
         assume: name of a known constraint ("hinge", "ball", "K", "Screw joint"). The result is the best frame
             of this constraint; ``probability`` is still its probability among all constraints.
         norm: exponent of the power mean over the three axes, in [-inf, 2], a Python number. 0 is the

@@ -47,19 +47,37 @@ def identify_windows(
         assume: codes of the entries to fit; None for the most probable entries.
     """
     window = prepare_windows(poses, steps, count, bounds, scales)
-    moments = window.moments.at_scales(scales) if scales else window.moments
-    fixed: Prepared = jax.lax.stop_gradient(window._replace(moments=moments))
+    fixed: Prepared = jax.lax.stop_gradient(window)
     used = choose_scales(fixed.moments, fixed.noise, scales)
+    # amplitudes are those of the whole recording, whatever the scales of the search
+    whole = choose_scales(fixed.moments, fixed.noise, None) if scales else used
     steps_only = scales == (1,)
     of_steps = origins = None
     if steps_only or exponent != 0 or solver is not None or discretization != "chord":
         of_steps = step_moments(window.poses, window.steps, discretization)
         origins = paper_origins(fixed, jax.lax.stop_gradient(of_steps[1]), exponent, solver, key)
+    compare_entries = thresholds is None
+    searched = used.at_scales(scales) if scales and not compare_entries else used
     solved = solve_windows(
-        fixed.features, fixed.moments, used, fixed.noise, fixed.box, origins, assume, thresholds is None
+        fixed.features,
+        fixed.moments,
+        searched,
+        whole,
+        fixed.noise,
+        fixed.box,
+        origins,
+        assume,
+        compare_entries,
     )
-    live = moments._replace(details=used.details)
+    live = window.moments._replace(details=used.details)
     assumed = assume is not None
     return report_windows(
-        window, live, solved, thresholds, exponent, of_steps if steps_only else None, assumed
+        window,
+        live,
+        whole.scale_weight,
+        solved,
+        thresholds,
+        exponent,
+        of_steps if steps_only else None,
+        assumed,
     )

@@ -134,6 +134,7 @@ def _rotvec(axes: Array, dof: Array) -> Array:
 def report_windows(
     window: Prepared,
     live: Moments,
+    scale_weight: Array,
     solved: Solved,
     thresholds: Thresholds | None,
     exponent: float,
@@ -144,7 +145,8 @@ def report_windows(
 
     Args:
         window: prepared windows; the result is differentiable with respect to their features and moments.
-        live: moments of the windows at the scales that are used.
+        live: moments of the windows, with 0 details at scales that the search did not use.
+        scale_weight: (N, S) weights of the scales in the amplitudes over the recording.
         solved: result of the model, without derivatives.
         thresholds: RMS velocities above which an axis is free; None if probabilities decide.
         exponent: exponent of the power mean over the axes, for the norms.
@@ -159,13 +161,14 @@ def report_windows(
     else:
         types = jax.vmap(types_over_scales)(solved, live, step)
     of_window = partial(_report_window, thresholds=thresholds, single_steps=single_steps, assumed=assumed)
-    found = jax.vmap(of_window)(window, live, solved, types, step)
+    found = jax.vmap(of_window)(window, live, scale_weight, solved, types, step)
     return _with_status(found, window, thresholds)
 
 
 def _report_window(
     window: Prepared,
     live: Moments,
+    scale_weight: Array,
     solved: Solved,
     types: Types,
     step: Array,
@@ -177,7 +180,7 @@ def _report_window(
     """Return the identification of one window, whether its origin is on the bounds, and its warning codes."""
     mean = window.features.mean_rotation
     data = Data(live.products, live.details, mean, window.box)
-    total = jnp.einsum("s,sfg->fg", live.scale_weight, live.products)
+    total = jnp.einsum("s,sfg->fg", scale_weight, live.products)
     fixed = jax.vmap(_fix_signs)(jnp.concatenate([types.angular_axes, types.linear_axes]))
     types = types._replace(angular_axes=fixed[:2], linear_axes=fixed[2:])
     if thresholds is None:
@@ -231,8 +234,7 @@ def _report_window(
             linear_dof_all = _last_free(jnp.sum(linear.dof), 4)
         else:
             angular_type = jnp.argmin(types.angular_norm).astype(jnp.int32)
-        every_scale = jnp.einsum("s,sfg->fg", window.moments.scale_weight, window.moments.products)
-        rows_along = partial(_rows_along, total=every_scale)
+        rows_along = partial(_rows_along, total=total)
         rows = jnp.asarray(ROWS, total.dtype)
         angular_all = jax.vmap(rows_along)(types.angular_axes, rows[TURN_KINDS, :, 0], angular_dof_all)
         point = jnp.concatenate([jnp.ones_like(position[:1]), parameters.origin])
@@ -302,7 +304,8 @@ def _report_window(
         warning_codes=jnp.zeros((), jnp.int32),
     )
     improbable = Caution.IMPROBABLE_ASSUMED if assumed else Caution.IMPROBABLE
-    marks = {improbable: winner.name_probability < 0.5}
+    noisy = jnp.any((live.details > 0) & (scale_weight == 0))
+    marks = {improbable: winner.name_probability < 0.5, Caution.NOISY_SCALE: noisy}
     codes = caution_codes(velocities, (angular_rms[a], linear_rms), thresholds, marks)
     return found, at_bound, codes
 

@@ -64,7 +64,7 @@ class UniversalMoments(NamedTuple):
 def window_statistics(
     features: Features,
     moments: Moments,
-    used: Moments,
+    whole: Moments,
     products: Array,
     noise: Array,
     origins: Array,
@@ -75,14 +75,14 @@ def window_statistics(
     Args:
         features: features of the windows.
         moments: moments of all scales.
-        used: the same moments, with 0 details at unused scales.
-        products: (27, 27, S, N) products of ``used``.
+        whole: the same moments, with 0 details at scales that do not count.
+        products: (27, 27, S, N) products of ``moments``.
         noise: (N, 2) m and rad, white noise of a pose.
         origins: (3, 4, N) m, origin of every linear type.
         universal_axes: axes a and b of the universal joint, (3, N) each.
     """
-    details, all_details, white = used.details.T, moments.details.T, used.white.T
-    per_scale = details, all_details, used.scale_weight.T, white, noise.T
+    details, all_details, white = whole.details.T, moments.details.T, moments.white.T
+    per_scale = details, all_details, whole.scale_weight.T, white, noise.T
     rotations = jnp.moveaxis(features.to_rotation[:, :, z.TURN_GROUND], 0, -1).transpose(1, 2, 0, 3)
     return WindowStatistics(
         spectra=Spectra(*(leaf[:, None] for leaf in per_scale)),
@@ -90,7 +90,7 @@ def window_statistics(
         noise=_limited_noise(products, all_details, white, noise)[:, None],
         rotations=rotations,
         levers=_squared_levers(features, rotations, origins),
-        universal=_universal_moments(*universal_axes, used.products, features),
+        universal=_universal_moments(*universal_axes, moments.products, features),
     )
 
 

@@ -90,6 +90,7 @@ def solve_windows(
     features: Features,
     moments: Moments,
     used: Moments,
+    whole: Moments,
     noise: Array,
     box: Array,
     origins: Array | None = None,
@@ -101,7 +102,8 @@ def solve_windows(
     Args:
         features: features of N windows.
         moments: moments of all scales.
-        used: the same moments, with 0 details at unused scales.
+        used: the same moments, with 0 details at scales that the search and the fit do not use.
+        whole: the same moments, with 0 details at scales that the amplitudes do not use.
         noise: (N, 2) m and rad, white noise of every component of a pose.
         box: (N,) m, half the width of the cube in which origins lie.
         origins: (N, 4, 3) m, origin of every linear type from another search; None to search here.
@@ -140,7 +142,7 @@ def solve_windows(
     )
     if not compare_entries:
         return solved
-    windows = window_statistics(features, moments, used, products, noise, place, crossed)
+    windows = window_statistics(features, moments, whole, products, noise, place, crossed)
     problem = _Comparison(moments_of_paths, forms, starts, details, solved.tilt_scale, box)
     log_probability, chosen, parameters = _compare_entries(problem, windows, assume)
     return solved._replace(log_probability=log_probability.T, parameters=parameters, chosen=chosen.T)
