@@ -75,12 +75,12 @@ def test_losses_here_and_there_are_left_out(rng: np.random.Generator) -> None:
     lost = np.flatnonzero(np.repeat(rng.random(COUNT // 3) < 0.33, 3))
     FILLS["origin"](rows, lost[lost < 150])
     FILLS["identity"](rows, lost[lost >= 150])
-    np.testing.assert_array_equal(np.flatnonzero(find_lost_poses(poses_of(rows), rows[:, 0]).mask), lost)
+    np.testing.assert_array_equal(np.flatnonzero(find_lost_poses(poses_of(rows), rows[:, 0]) != ""), lost)
     single = hinge(rng)
     FILLS["constant"](single, np.arange(5, COUNT, 7))
     found = find_lost_poses(poses_of(single), single[:, 0])
-    np.testing.assert_array_equal(np.flatnonzero(found.mask), np.arange(5, COUNT, 7))
-    assert set(found.reasons) == {"", "constant"}
+    np.testing.assert_array_equal(np.flatnonzero(found != ""), np.arange(5, COUNT, 7))
+    assert set(found) == {"", "constant"}
 
 
 def add_noise(rng: np.random.Generator, rows: np.ndarray, where: np.ndarray, noise: float) -> None:
@@ -121,8 +121,8 @@ def test_a_number_with_noise_is_lost_everywhere_also_beside_a_rest(
     FILLS[kind](rows, lost)
     add_noise(rng, rows, lost, noise)
     found = find_lost_poses(poses_of(rows), rows[:, 0])
-    np.testing.assert_array_equal(np.flatnonzero(found.mask), lost)
-    assert set(found.reasons[lost]) == {kind}
+    np.testing.assert_array_equal(np.flatnonzero(found != ""), lost)
+    assert set(found[lost]) == {kind}
 
 
 def test_numbers_far_away_do_not_make_the_path_lost(rng: np.random.Generator) -> None:
@@ -132,7 +132,7 @@ def test_numbers_far_away_do_not_make_the_path_lost(rng: np.random.Generator) ->
     rows = np.column_stack([times, turned.apply([0.4, 0.05, 0.1]), turned.as_quat()])
     add_noise(rng, rows, np.arange(COUNT), 1e-4)
     rows[100:140, 1] = 999
-    found = find_lost_poses(poses_of(rows), times).mask
+    found = find_lost_poses(poses_of(rows), times) != ""
     assert not np.delete(found, np.arange(100, 140)).any()
 
 
@@ -143,8 +143,8 @@ def test_frozen_poses_with_noise_are_left_out(rng: np.random.Generator, noise: f
         rows[start : start + 25, 1:] = rows[start - 1, 1:]
         add_noise(rng, rows, np.arange(start, start + 25), noise)
     found = find_lost_poses(poses_of(rows), rows[:, 0])
-    np.testing.assert_array_equal(np.flatnonzero(found.mask) % 100, np.tile(np.arange(25), 2))
-    assert set(found.reasons) == {"", "frozen"}
+    np.testing.assert_array_equal(np.flatnonzero(found != "") % 100, np.tile(np.arange(25), 2))
+    assert set(found) == {"", "frozen"}
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-5, 1e-4, 5e-4])
@@ -156,8 +156,8 @@ def test_frozen_poses_are_left_out_if_the_body_turned_back_meanwhile(
     rows[lost, 1:] = rows[45, 1:]
     add_noise(rng, rows, lost, noise)
     found = find_lost_poses(poses_of(rows), rows[:, 0])
-    np.testing.assert_array_equal(np.flatnonzero(found.mask), lost)
-    assert set(found.reasons[lost]) == {"frozen"}
+    np.testing.assert_array_equal(np.flatnonzero(found != ""), lost)
+    assert set(found[lost]) == {"frozen"}
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-5, 1e-3])
@@ -173,7 +173,7 @@ def test_a_fast_move_between_two_rests_is_not_lost(
     turned = Rotation.from_rotvec(np.outer(0.7 * np.sin(2.2 * angle), [0, 0, 1.0]))
     rows = np.column_stack([times, turned.apply([0.4, 0.05, 0.1]), turned.as_quat()])
     add_noise(rng, rows, np.arange(len(rows)), noise)
-    assert not find_lost_poses(poses_of(rows), times).mask.any()
+    assert (find_lost_poses(poses_of(rows), times) == "").all()
 
 
 @pytest.mark.parametrize("noise", [1e-6, 1e-4, 1e-3])
@@ -187,7 +187,7 @@ def test_bodies_that_rest_with_noise_are_not_lost(rng: np.random.Generator, nois
     for motion in (rested, touched):
         motion[:, 0] = 0.02 * np.arange(len(motion))
         add_noise(rng, motion, np.arange(len(motion)), noise)
-        assert not find_lost_poses(poses_of(motion), motion[:, 0]).mask.any()
+        assert (find_lost_poses(poses_of(motion), motion[:, 0]) == "").all()
 
 
 @pytest.mark.parametrize("noise", [1e-6, 1e-4, 1e-3])
@@ -203,7 +203,7 @@ def test_bodies_that_start_fast_after_a_rest_are_not_lost(
     turned = Rotation.from_rotvec(np.outer(angle, [0, 0, 1.0]))
     rows = np.column_stack([times, turned.apply([0.4, 0.05, 0.1]), turned.as_quat()])
     add_noise(rng, rows, np.arange(len(rows)), noise)
-    assert not find_lost_poses(poses_of(rows), times).mask.any()
+    assert (find_lost_poses(poses_of(rows), times) == "").all()
 
 
 @pytest.mark.parametrize("rounding", [1e-4, 1e-3])
@@ -221,7 +221,7 @@ def test_a_robot_that_comes_to_rest_for_good_is_not_lost(
     )
     rows = np.column_stack([times, places, turned.as_quat()])
     assert (rows[-5:, 1:] == rows[-1, 1:]).all()
-    assert not find_lost_poses(poses_of(rows), times).mask.any()
+    assert (find_lost_poses(poses_of(rows), times) == "").all()
 
 
 @pytest.mark.parametrize("length", [4, 10, 40])
@@ -232,8 +232,8 @@ def test_frozen_poses_are_left_out(rng: np.random.Generator, length: int, start:
     start = min(start, COUNT - length)
     rows[start : start + length, 1:] = rows[start - 1, 1:]
     found = find_lost_poses(poses_of(rows), rows[:, 0])
-    np.testing.assert_array_equal(np.flatnonzero(found.mask), np.arange(start, start + length))
-    assert set(found.reasons[start : start + length]) == {"end" if start + length == COUNT else "frozen"}
+    np.testing.assert_array_equal(np.flatnonzero(found != ""), np.arange(start, start + length))
+    assert set(found[start : start + length]) == {"end" if start + length == COUNT else "frozen"}
 
 
 @pytest.mark.parametrize("length", [4, 10, 40])
@@ -249,16 +249,16 @@ def test_poses_that_freeze_before_others_are_missing(
     else:
         FILLS[fill](rows, np.arange(stop, stop + 50))
     found = find_lost_poses(poses_of(rows), rows[:, 0])
-    np.testing.assert_array_equal(np.flatnonzero(found.mask), np.arange(100, stop + 50))
-    assert set(found.reasons[100:stop]) == {"frozen"}
-    assert set(found.reasons[stop : stop + 50]) == {fill}
+    np.testing.assert_array_equal(np.flatnonzero(found != ""), np.arange(100, stop + 50))
+    assert set(found[100:stop]) == {"frozen"}
+    assert set(found[stop : stop + 50]) == {fill}
 
 
 def test_long_recordings_of_held_samples_take_no_longer_than_others(rng: np.random.Generator) -> None:
     rows = hinge(rng, count=200_000)
     rows[:, 1:] = np.repeat(rows[::2, 1:], 2, axis=0)
     start = time.perf_counter()
-    assert not find_lost_poses(poses_of(rows), rows[:, 0]).mask.any()
+    assert (find_lost_poses(poses_of(rows), rows[:, 0]) == "").all()
     assert time.perf_counter() - start < 20  # s; 1 here
 
 
@@ -266,7 +266,7 @@ def test_long_recordings_of_held_samples_take_no_longer_than_others(rng: np.rand
 def test_noise_does_not_hide_a_frozen_end(rng: np.random.Generator, noise: float) -> None:
     rows = hinge(rng, noise)
     rows[150:, 1:] = rows[149, 1:]
-    np.testing.assert_array_equal(find_lost_poses(poses_of(rows)).mask, np.arange(COUNT) >= 150)
+    np.testing.assert_array_equal(find_lost_poses(poses_of(rows)) != "", np.arange(COUNT) >= 150)
 
 
 @pytest.mark.parametrize(("part", "columns"), [("position", slice(1, 4)), ("orientation", slice(4, 8))])
@@ -282,7 +282,7 @@ def test_half_a_pose_that_is_frozen_is_none(
     np.testing.assert_array_equal(left_out.rows, np.arange(start, start + 40) + 2)
     assert f"tracking was lost: the {'last' if start > 100 else 'previous'} {part} " in recording.notes[0]
     rows[start : start + 40, 4:] = [0, 0, 0, 1]
-    found = find_lost_poses(poses_of(rows), rows[:, 0]).mask
+    found = find_lost_poses(poses_of(rows), rows[:, 0]) != ""
     assert found[start : start + 40].all()
     assert found.sum() == 40
 
@@ -297,15 +297,15 @@ def test_a_body_at_rest_is_not_lost(rng: np.random.Generator, where: int, noise:
         pytest.skip("exact repeats at the end of a noisy motion are a frozen pose")
     rested = np.insert(rows, [row] * 50, rows[row], axis=0)
     rested[:, 0] = 0.02 * np.arange(len(rested))
-    assert not find_lost_poses(poses_of(rested), rested[:, 0]).mask.any()
+    assert (find_lost_poses(poses_of(rested), rested[:, 0]) == "").all()
 
 
 def test_poses_relative_to_the_first_start_at_the_identity(rng: np.random.Generator) -> None:
     poses = poses_of(hinge(rng))
     own = np.linalg.inv(poses[0]) @ poses
-    assert not find_lost_poses(own).mask.any()
+    assert (find_lost_poses(own) == "").all()
     own[100:140] = np.eye(4)
-    np.testing.assert_array_equal(np.flatnonzero(find_lost_poses(own).mask), np.arange(100, 140))
+    np.testing.assert_array_equal(np.flatnonzero(find_lost_poses(own) != ""), np.arange(100, 140))
 
 
 def test_motions_that_keep_a_number_are_poses(rng: np.random.Generator) -> None:
@@ -321,7 +321,7 @@ def test_motions_that_keep_a_number_are_poses(rng: np.random.Generator) -> None:
     quantized[rng.random(COUNT) < 0.5, 4:] = Rotation.from_rotvec([0, 0, 1e-3]).as_quat()
     spikes[5::9, 4:] = Rotation.from_rotvec(1e-6 * rng.normal(size=(len(spikes[5::9]), 3))).as_quat()
     for motion in (ball, drawer, held, noisy, coarse, quantized, spikes):
-        assert not find_lost_poses(poses_of(motion), motion[:, 0]).mask.any()
+        assert (find_lost_poses(poses_of(motion), motion[:, 0]) == "").all()
 
 
 @pytest.mark.parametrize("every", [3, 4, 5])
@@ -337,23 +337,23 @@ def test_rows_that_are_written_twice_in_a_fast_part_are_no_constants(
     twice = np.arange(151, 180, every)
     rows[twice, 1:] = rows[twice - 1, 1:]
     found = find_lost_poses(poses_of(rows), rows[:, 0])
-    assert not (found.reasons == "constant").any()
+    assert not (found == "constant").any()
 
 
 def test_touches_are_poses_and_zeros_between_them_are_not(rng: np.random.Generator) -> None:
     turned = Rotation.from_rotvec(rng.uniform(-0.5, 0.5, (14, 3))) * Rotation.from_rotvec([np.pi, 0, 0])
     places = [0.25, -0.88, 0.04] - turned.apply([0.005, 0.095, 0.308])
     rows = np.column_stack([np.arange(14.0), places, turned.as_quat()])
-    assert not find_lost_poses(poses_of(rows), rows[:, 0]).mask.any()
+    assert (find_lost_poses(poses_of(rows), rows[:, 0]) == "").all()
     rows[[3, 8], 1:] = [0, 0, 0, 0, 0, 0, 1]
-    assert np.flatnonzero(find_lost_poses(poses_of(rows), rows[:, 0]).mask).tolist() == [3, 8]
+    assert np.flatnonzero(find_lost_poses(poses_of(rows), rows[:, 0]) != "").tolist() == [3, 8]
 
 
 def test_numbers_that_are_not_finite_are_no_poses(rng: np.random.Generator) -> None:
     poses = poses_of(hinge(rng))
     poses[7, 0, 3] = np.nan
     found = find_lost_poses(poses)
-    assert (np.flatnonzero(found.mask).tolist(), found.reasons[7]) == ([7], "missing")
+    assert (np.flatnonzero(found != "").tolist(), found[7]) == ([7], "missing")
 
 
 def test_recordings_of_too_few_poses_are_refused(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -413,7 +413,7 @@ def test_a_motion_that_starts_at_the_origin_is_not_lost_before_an_outlier():
     poses = np.tile(np.eye(4), (40, 1, 1))
     poses[:, :3, 3] = np.outer(0.2 * np.sin(np.arange(40) / 8), [1, 0, 0]) + 1e-4 * rng.normal(size=(40, 3))
     poses[7, :3, 3] += 0.5
-    assert not find_lost_poses(poses).mask.any()
+    assert (find_lost_poses(poses) == "").all()
 
 
 @pytest.mark.parametrize("distance", [1e3, 1e30])
@@ -421,7 +421,7 @@ def test_a_distant_outlier_does_not_make_other_rows_lost(rng: np.random.Generato
     rows = hinge(rng)
     rows[100, 1] = distance
     with np.errstate(over="ignore"):
-        assert not np.delete(find_lost_poses(poses_of(rows), rows[:, 0]).mask, 100).any()
+        assert not np.delete(find_lost_poses(poses_of(rows), rows[:, 0]) != "", 100).any()
 
 
 def test_rows_at_a_great_distance_are_left_out_in_a_sixth_of_a_recording(

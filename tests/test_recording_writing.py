@@ -26,7 +26,7 @@ def test_round_trip(
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3, 3] = [row[1] for row in rows]
     poses[:, :3, :3] = Rotation.from_rotvec([row[2] for row in rows]).as_matrix()
-    assume(not find_lost_poses(poses, times).mask.any())
+    assume((find_lost_poses(poses, times) == "").all())
     for name in ("a.csv", "a.npz"):
         save_recording(folder / name, times, poses)
         read = load_recording(folder / name)

@@ -176,11 +176,12 @@ def identify_unchecked(
 
 def _warn_of_lost_rows(poses: np.ndarray, times: Any) -> None:
     """Warn of rows of poses (K+1, 4, 4) in which tracking was lost."""
-    lost = find_lost_poses(poses, None if times is None else np.asarray(times, dtype=float))
-    if lost.mask.any():
+    reasons = find_lost_poses(poses, None if times is None else np.asarray(times, dtype=float))
+    lost = np.flatnonzero(reasons != "")
+    if len(lost):
         warnings.warn(
-            f"Tracking seems lost in {name_rows('row', np.flatnonzero(lost.mask))} of poses, counted from 0 "
-            f"({', '.join(sorted({run.kind for run in lost.runs}))}). Remove these rows and their times, as "
+            f"Tracking seems lost in {name_rows('row', lost)} of poses, counted from 0 "
+            f"({', '.join(sorted({*reasons[lost]}))}). Remove these rows and their times, as "
             "load_recording does; reframe_jax.recordings.lost.find_lost_poses returns them.",
             stacklevel=3,
         )

@@ -221,9 +221,9 @@ def leave_out_lost(rows: Rows, poses: np.ndarray) -> np.ndarray:
     Too few remaining poses are refused.
     """
     lost = find_lost_poses(poses, rows.times)
-    where, kept = rows.where, ~lost.mask
+    where, kept = rows.where, lost == ""
     for kind, why in _WHY.items():
-        mine = lost.reasons == kind
+        mine = lost == kind
         if not mine.any():
             continue
         if kind in ("origin", "identity"):
@@ -234,18 +234,17 @@ def leave_out_lost(rows: Rows, poses: np.ndarray) -> np.ndarray:
             why = f"the {part} is {'' if exact else 'close to '}{why}"
         if kind in ("frozen", "end"):
             why = why.replace("pose", _repeated(poses[mine], poses[np.flatnonzero(mine) - 1]), 1)
-        longest = max((run for run in lost.runs if run.kind == kind), key=lambda run: run.stop - run.start)
-        before = np.flatnonzero(kept[: longest.start])
-        after = np.flatnonzero(kept[longest.stop :]) + longest.stop
+        starts, stops = np.flatnonzero(np.diff(mine, prepend=False, append=False)).reshape(-1, 2).T
+        longest = np.argmax(stops - starts)
+        start, stop = starts[longest], stops[longest]
+        before, after = np.flatnonzero(kept[:start]), np.flatnonzero(kept[stop:]) + stop
         back = f" at {rows.word} {where[after[0]]}" if len(after) else ""
         jump = ""
         if len(before) and kind not in ("frozen", "end"):
-            there = (
-                f"{_distance(poses[before[-1]], poses[longest.start])} at {rows.word} {where[longest.start]}"
-            )
+            there = f"{_distance(poses[before[-1]], poses[start])} at {rows.word} {where[start]}"
             jump = f"; the pose jumps {there}{back and ' and back' + back}"
         elif back:
-            jump = f"; the pose jumps {_distance(poses[longest.stop - 1], poses[after[0]])}{back}"
+            jump = f"; the pose jumps {_distance(poses[stop - 1], poses[after[0]])}{back}"
         note = f"{name_rows(rows.word, where[mine])} left out, as tracking was lost: {why}{jump}."
         rows.keep(~np.isin(rows.where, where[mine]), why, kind, note)
     if kept.sum() < _FEW and kept.sum() < _FEW_FRACTION * len(poses):

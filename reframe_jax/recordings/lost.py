@@ -7,10 +7,7 @@ them, in units of the steps of the path. Repeats that continue the path are a bo
 NumPy only.
 """
 
-from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -38,47 +35,7 @@ _HELD = 3  # other runs of at least half the length, which show that samples are
 _PAST = 200  # rows from which noise and speed are estimated
 
 
-class LostRun(NamedTuple):
-    """Consecutive rows that are not poses.
-
-    The kind is "missing" (not finite), "origin" (position 0, 0, 0), "identity" (the orientation is the
-    identity), "constant" (another number that repeats), "frozen" (repeats the previous pose), or "end"
-    (repeats the previous pose to the end of the recording).
-    """
-
-    start: int
-    stop: int  # row after the last row
-    kind: str
-
-
-@dataclass(frozen=True)
-class LostPoses:
-    """Rows of an array of poses (K, 4, 4) that are not measured poses.
-
-    Attributes:
-        reasons: (K,) str, the kind of :class:`LostRun` of every row; empty for poses.
-    """
-
-    reasons: np.ndarray
-
-    @property
-    def mask(self) -> np.ndarray:
-        """(K,) bool, True for rows that are not poses."""
-        return self.reasons != ""
-
-    @property
-    def runs(self) -> tuple[LostRun, ...]:
-        """Runs of consecutive rows with the same reason."""
-        kinds = self.reasons
-        edges = [0, *(np.flatnonzero(kinds[1:] != kinds[:-1]) + 1).tolist(), len(kinds)]
-        return tuple(
-            LostRun(start, stop, str(kinds[start]))
-            for start, stop in pairwise(edges)
-            if stop > start and kinds[start] != ""
-        )
-
-
-def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostPoses:
+def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> np.ndarray:
     """Find the rows that are not poses.
 
     Args:
@@ -86,7 +43,9 @@ def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostP
         times: (K,) s, increasing; by default, rows are evenly spaced.
 
     Returns:
-        The reason for every row; empty for poses.
+        (K,) str, the reason for every row, empty for poses: "missing" (not finite), "origin" (position 0, 0,
+        0), "identity" (the orientation is the identity), "constant" (another number that repeats), "frozen"
+        (repeats the previous pose), or "end" (repeats the previous pose to the end of the recording).
     """
     poses = np.asarray(poses, float)
     clock = np.arange(len(poses), dtype=float) if times is None else np.asarray(times, float)
@@ -106,7 +65,7 @@ def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostP
         kinds[rows] = found
         if (found != "").any():  # the remaining rows have other paths
             rows, paths = rows[found == ""], None
-    return LostPoses(kinds)
+    return kinds
 
 
 def _quantile(numbers: np.ndarray, fraction: float) -> float:

@@ -21,9 +21,9 @@ class LeftOut:
         rows: (N,) int, numbers of the rows, counted as in :attr:`Recording.rows`.
         reason: one word: "missing" (a number is missing), "untracked" (the system reports it, or writes
             zeros), "origin", "identity", "constant", "frozen" or "end" (tracking was lost, see
-            :class:`reframe_jax.recordings.lost.LostRun`), "repeated" (equals the previous row), "equal_time"
-            (another pose at the same time), "far" (too distant from the other positions), "relative" (the
-            other body was not tracked), "outlier" (read, but left out of an identification).
+            :func:`reframe_jax.recordings.lost.find_lost_poses`), "repeated" (equals the previous row),
+            "equal_time" (another pose at the same time), "far" (too distant from the other positions),
+            "relative" (the other body was not tracked), "outlier" (read, but left out of an identification).
         why: the reason in words.
     """
 
