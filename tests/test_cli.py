@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import reframe_jax
-from reframe_jax.cli import configuring, program, reading
+from reframe_jax.cli import arguments, program, reading
 from reframe_jax.cli import identify as command
 from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS
 from reframe_jax.constraints.frame import ConstraintFrame
@@ -54,7 +54,7 @@ def clip(door: Path, tmp_path: Path) -> Path:
 
 def parse(*arguments: str | Path | int) -> argparse.Namespace:
     words = list(map(str, arguments))
-    return program._parser(words).parse_args(words)
+    return program.build_parser(words).parse_args(words)
 
 
 def run(*arguments: str | Path) -> int:
@@ -511,13 +511,13 @@ def test_axes_close_to_a_threshold_are_noted(clip: Path, capsys: Captured) -> No
 
 def test_compiled_programs_are_kept_unless_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[None] = []
-    monkeypatch.setattr(configuring, "cache_programs", lambda: calls.append(None))
-    configuring.configure_jax(cache=False)
+    monkeypatch.setattr(arguments, "cache_programs", lambda: calls.append(None))
+    arguments.configure_jax(cache=False)
     monkeypatch.setenv("REFRAME_JAX_CACHE", "0")
-    configuring.configure_jax(cache=True)
+    arguments.configure_jax(cache=True)
     assert not calls
     monkeypatch.delenv("REFRAME_JAX_CACHE")
-    configuring.configure_jax(cache=True)
+    arguments.configure_jax(cache=True)
     assert len(calls) == 1
 
 

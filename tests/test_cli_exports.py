@@ -234,7 +234,7 @@ def test_completion_names_what_is_missing(capsys: Captured, monkeypatch: pytest.
 
 def test_the_full_parser_reads_what_the_lean_one_does() -> None:
     words = ["identify", "a.csv", "--scales", "1,2"]
-    full, lean = program.full_parser().parse_args(words), program._parser(words).parse_args(words)
+    full, lean = program.build_parser().parse_args(words), program.build_parser(words).parse_args(words)
 
     def plain(options: argparse.Namespace) -> dict[str, Any]:
         return {name: value for name, value in vars(options).items() if name != "usage_error"}

@@ -1,16 +1,28 @@
-"""Types of command-line arguments: functions that convert text, or raise an ArgumentTypeError."""
+"""Options that several commands have, and the types of their arguments.
+
+A type is a function that converts text, or raises an ArgumentTypeError. MuJoCo is imported when a command
+runs.
+"""
 
 import argparse
 import math
+import os
 from collections.abc import Callable
 from functools import wraps
 from typing import Any, TypeVar
 
+import jax
+
+from reframe_jax.compilation import COMPILER_OPTIONS
 from reframe_jax.constraints.catalogue import CONSTRAINTS, constraint
 from reframe_jax.objectives.norms import check_exponent
+from reframe_jax.program_cache import cache_programs
+from reframe_jax.storage.progress import make_meter
 
 T = TypeVar("T")
 _LARGEST = 1e6  # m or s: larger than any motion, with a finite square
+_FAST_COMPILATION = "--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters"
+_IMPERFECTIONS = {"none": None, "encoder": "ENCODER_GRADE", "realistic": "REALISTIC", "matched": "MATCHED"}
 
 
 def _argument(read: Callable[[str], T]) -> Callable[[str], T]:
@@ -97,3 +109,64 @@ def add_constraint(command: argparse.ArgumentParser) -> None:
 def add_seed(command: argparse.ArgumentParser) -> None:
     """Add the option ``--seed``."""
     command.add_argument("--seed", type=_seed, default=0, metavar="N", help="random seed (0)")
+
+
+def add_cache(command: argparse.ArgumentParser) -> None:
+    """Add the option ``--no-cache`` to a command that compiles programs."""
+    command.add_argument(
+        "--no-cache",
+        dest="cache",
+        action="store_false",
+        help="do not store compiled programs for later runs (REFRAME_JAX_CACHE=0 has the same effect); "
+        "to delete stored programs, delete the folder reframe_jax in XDG_CACHE_HOME or ~/.cache",
+    )
+
+
+def configure_jax(cache: bool) -> None:
+    """Enable 64-bit mode, and keep compiled programs between runs, unless ``REFRAME_JAX_CACHE=0``."""
+    flags = os.environ.get("XLA_FLAGS", "")
+    if COMPILER_OPTIONS is None and "xla_backend_extra_options" not in flags:
+        # the same option for all programs; the compiler reads it when it starts
+        os.environ["XLA_FLAGS"] = f"{flags} {_FAST_COMPILATION}".strip()
+    jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
+    if cache and os.environ.get("REFRAME_JAX_CACHE") != "0":
+        cache_programs()
+
+
+def add_demonstrations(command: argparse.ArgumentParser) -> None:
+    """Add the options that ``demonstrate`` and ``reproduce`` have in common to a command."""
+    add = command.add_argument
+    add_constraint(command)
+    add("--robot", choices=["panda", "fr3"], default="panda", help="robot arm; the paper uses fr3 (panda)")
+    add(
+        "--imperfections",
+        choices=[*_IMPERFECTIONS],
+        default="realistic" if command.prog.endswith("reproduce") else "encoder",
+        help="errors of the poses: none, encoder noise, encoder noise and compliance, or the compliance of "
+        "the paper's set-up (%(default)s)",
+    )
+    add(
+        "--excitation",
+        choices=["exciting", "brisk"],
+        default="exciting",
+        help="motion along the free axes: many frequencies; brisk turns hinges as fast as in the paper's "
+        "Table 4 (exciting)",
+    )
+    add("--fixed", action="store_true", help="use one geometry for all demonstrations instead of random ones")
+    add_seed(command)
+    add_cache(command)
+
+
+def prepare_demonstrations(options: argparse.Namespace) -> dict[str, Any]:
+    """Configure JAX, and return the options of :func:`add_demonstrations` as arguments of a simulation."""
+    configure_jax(options.cache)
+    from reframe_jax.simulation import arm
+
+    name = _IMPERFECTIONS[options.imperfections]
+    return {
+        "imperfections": arm.Imperfections() if name is None else getattr(arm, name),
+        "excitation": options.excitation,
+        "spread": (0.0, 0.0) if options.fixed else arm.SPREAD,
+        "arm": options.robot,
+        "progress": make_meter(None, "demonstrations"),
+    }

@@ -22,9 +22,9 @@ def run(options: argparse.Namespace) -> int:
         import shtab
     except ImportError:
         return fail("completion needs shtab: pip install 'reframe-jax[completion]'")
-    from reframe_jax.cli.program import full_parser
+    from reframe_jax.cli.program import build_parser
 
-    parser = full_parser()
+    parser = build_parser()
     for action in _actions(parser):
         if action.type is Path:
             action.complete = shtab.FILE  # type: ignore[attr-defined]

@@ -17,7 +17,6 @@ import jax
 import numpy as np
 
 from reframe_jax.cli import arguments
-from reframe_jax.cli.arm import add_common, prepare
 from reframe_jax.cli.outputs import check_file
 from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS
@@ -30,7 +29,7 @@ _ENDINGS = {"out": (".npz", ".csv"), "plot": (".png", ".pdf", ".svg"), "render":
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Add the options of the demonstrations and of the files."""
-    add_common(command)
+    arguments.add_demonstrations(command)
     add = command.add_argument
     add("--count", type=arguments.count, default=1, metavar="N", help="number of demonstrations (1)")
     add("--out", type=Path, required=True, metavar="PATH", help="folder, .npz or .csv")
@@ -44,7 +43,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Simulate and store the demonstrations."""
     _check(options)
-    common = prepare(options)
+    common = arguments.prepare_demonstrations(options)
     from reframe_jax.simulation import arm
 
     common |= {"redraw": not options.keep, "duration": options.duration, "dt": options.dt}

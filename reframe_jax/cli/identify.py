@@ -20,7 +20,6 @@ import jax
 import numpy as np
 
 from reframe_jax.cli import arguments
-from reframe_jax.cli.configuring import add_cache, configure_jax
 from reframe_jax.cli.exports import add_exports, check_exports, write_joint_files, write_tables
 from reframe_jax.cli.outputs import add_outputs, check_outputs, draw, write_document
 from reframe_jax.cli.printing import fail, print_error, print_result
@@ -85,7 +84,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     add_outputs(command)
     add_reading(command)
     add_exports(command)
-    add_cache(command)
+    arguments.add_cache(command)
 
 
 def add_windows(command: argparse.ArgumentParser) -> None:
@@ -117,7 +116,7 @@ def run(options: argparse.Namespace) -> int:
         if getattr(options, name) and options.window is not None:
             options.usage_error(f"--{name} needs a whole recording: remove --window.")
     check_outputs(options)
-    configure_jax(options.cache)
+    arguments.configure_jax(options.cache)
     records: list[dict[str, Any]] = []
     tables: list[Columns] = []
     quiet = options.summary or options.json == "-" or not sys.stdout.isatty()

@@ -10,7 +10,7 @@ import importlib
 import io
 import signal
 import sys
-from collections.abc import Sequence, Set
+from collections.abc import Collection, Sequence
 from typing import Any, NoReturn
 
 import reframe_jax
@@ -84,7 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             ``--help`` and ``--version``.
     """
     argv = sys.argv[1:] if argv is None else argv
-    options, rest = _parser(argv).parse_known_args(argv)
+    options, rest = build_parser(argv).parse_known_args(argv)
     if rest:
         options.usage_error(f"unrecognized arguments: {' '.join(rest)}")
     try:
@@ -93,19 +93,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130  # exit code that shells report for Ctrl-C
 
 
-def full_parser() -> argparse.ArgumentParser:
-    """Build the parser and import all commands."""
-    return _build(COMMANDS.keys())
+def build_parser(words: Collection[str] = COMMANDS) -> argparse.ArgumentParser:
+    """Build the parser and import the commands that are among the words, because an import takes a second.
 
-
-def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
-    """Build the parser and import only the command in the arguments, because an import takes a second."""
-    named = next((word for word in argv if not word.startswith("-")), None)
-    return _build(COMMANDS.keys() & {named})
-
-
-def _build(imported: Set[str]) -> argparse.ArgumentParser:
-    """Build the parser; commands that are not imported have a name but no options."""
+    The other commands have a name but no options.
+    """
     parser = _Parser(
         prog="reframe-jax",
         description=_DESCRIPTION,
@@ -115,18 +107,17 @@ def _build(imported: Set[str]) -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"%(prog)s {reframe_jax.__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, text in COMMANDS.items():
-        if name not in imported:
+        if name not in words:
             commands.add_parser(name, help=text)
             continue
         module = importlib.import_module(f"reframe_jax.cli.{name}")
         examples = [line for line in _EXAMPLES.splitlines() if f"reframe-jax {name} " in line]
+        heading = [f"example{'' if len(examples) == 1 else 's'}:"] if examples else []
         command = commands.add_parser(
             name,
             description=module.__doc__,
             help=text,
-            epilog="\n".join(
-                ["example:" if len(examples) == 1 else "examples:", *examples] if examples else []
-            ),
+            epilog="\n".join([*heading, *examples]),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         command.set_defaults(run=module.run, usage_error=command.error)

@@ -10,14 +10,13 @@ import jax
 import numpy as np
 
 from reframe_jax.cli import arguments
-from reframe_jax.cli.arm import add_common, prepare
 from reframe_jax.cli.printing import fail, print_error, print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Add the options of the demonstrations and of the controller."""
-    add_common(command)
+    arguments.add_demonstrations(command)
     trials = "number of demonstrations and reproductions (30)"
     command.add_argument("--trials", type=arguments.count, default=30, metavar="N", help=trials)
     command.add_argument(
@@ -31,7 +30,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Compare the two frames, and print the errors, forces and completion times."""
-    common = prepare(options)
+    common = arguments.prepare_demonstrations(options)
     from reframe_jax.simulation import reproduction
     from reframe_jax.simulation.arm import RolloutStatus
 

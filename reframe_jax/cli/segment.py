@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from reframe_jax.cli import arguments
-from reframe_jax.cli.configuring import add_cache, configure_jax
 from reframe_jax.cli.outputs import add_outputs, check_outputs, draw, write_document
 from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.cli.reading import add_reading, expand, read_recording
@@ -28,14 +27,14 @@ def add_options(command: argparse.ArgumentParser) -> None:
     add("--reach", type=arguments.metres, default=1.0, metavar="M", help=reach)
     add_outputs(command)
     add_reading(command)
-    add_cache(command)
+    arguments.add_cache(command)
 
 
 def run(options: argparse.Namespace) -> int:
     """Segment every recording."""
     options.files = expand(options.files)
     check_outputs(options)
-    configure_jax(options.cache)
+    arguments.configure_jax(options.cache)
     records = [_segment_file(path, options) for path in options.files]
     return write_document(records, SCHEMA, options)
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import jax
 
 from reframe_jax.cli import arguments
-from reframe_jax.cli.configuring import add_cache, configure_jax
 from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS
 from reframe_jax.motion.checks import MIN_VELOCITIES
@@ -32,7 +31,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     add("--dt", type=arguments.seconds, default=0.1, metavar="S", help="sample time, s (0.1)")
     for name, (choices, text) in _CHOICES.items():
         add(f"--{name}", choices=choices, default=choices[0], help=f"{text} (%(default)s)")
-    add_cache(command)
+    arguments.add_cache(command)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -45,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
             f"--duration {options.duration:g} s in steps of --dt {options.dt:g} s makes {poses} poses; "
             f"expected {MIN_VELOCITIES + 1} to {MOST_ROWS}."
         )
-    configure_jax(options.cache)
+    arguments.configure_jax(options.cache)
     compiled = jax.jit(simulate, static_argnames=("constraint", "duration", "dt", "excitation", "exact"))
     simulation = jax.device_get(
         compiled(

@@ -15,15 +15,12 @@ import jax
 import numpy as np
 
 from reframe_jax.cli import arguments
-from reframe_jax.cli.configuring import add_cache, configure_jax
 from reframe_jax.cli.identify import add_windows, check_windows, identify_recording
 from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.cli.reading import add_reading, read_recording
 from reframe_jax.motion.windows import sliding_windows
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.viewer.document import write_page
-from reframe_jax.viewer.page import Page
-from reframe_jax.viewer.tracks import WindowTrack, track_window
+from reframe_jax.viewer import Page, WindowTrack, track_window, write_page
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
@@ -38,7 +35,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     add("--open", action="store_true", help="open the page in the browser")
     add("--html", type=Path, metavar="OUT", help="write the page to a file instead")
     add_reading(command)
-    add_cache(command)
+    arguments.add_cache(command)
     # options of identify that this command does not offer
     command.set_defaults(
         norm=0.0, discretization="chord", bounds=None, angular_threshold=None, linear_threshold=None
@@ -50,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
     check_windows(options)
     if options.port > 65535:
         options.usage_error(f"--port must be at most 65535, not {options.port}.")
-    configure_jax(options.cache)
+    arguments.configure_jax(options.cache)
     try:
         tracks = _tracks(options)
         if options.html is None:

@@ -16,8 +16,7 @@ def skew_vectors(matrices: np.ndarray) -> np.ndarray:
 def quaternions_to_matrices(quaternions: np.ndarray) -> np.ndarray:
     """Convert unit quaternions (..., 4) to rotation matrices (..., 3, 3)."""
     cross = np.cross(quaternions[..., None, :3], np.eye(3)).swapaxes(-1, -2)
-    turned: np.ndarray = np.eye(3) + 2 * quaternions[..., 3, None, None] * cross + 2 * cross @ cross
-    return turned
+    return np.eye(3) + 2 * quaternions[..., 3, None, None] * cross + 2 * cross @ cross
 
 
 def matrices_to_quaternions(matrices: np.ndarray) -> np.ndarray:
@@ -39,8 +38,7 @@ def nearest_rotations(matrices: np.ndarray) -> np.ndarray:
     """Return the rotations (..., 3, 3) nearest to matrices (..., 3, 3), by singular values."""
     left, _, right = np.linalg.svd(matrices)
     left[..., -1] *= np.linalg.det(left @ right)[..., None]  # no reflections
-    turned: np.ndarray = left @ right
-    return turned
+    return left @ right
 
 
 def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
@@ -48,8 +46,7 @@ def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
     quaternions = matrices_to_quaternions(matrices)
     sine = np.linalg.norm(quaternions[..., :3], axis=-1)
     factor = 2 * np.arctan2(sine, quaternions[..., 3]) / np.where(sine == 0, 1, sine)
-    vectors: np.ndarray = factor[..., None] * quaternions[..., :3]
-    return vectors
+    return factor[..., None] * quaternions[..., :3]
 
 
 def rotation_matrices(vectors: np.ndarray) -> np.ndarray:

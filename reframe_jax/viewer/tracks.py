@@ -120,5 +120,4 @@ def _square_root(covariance: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(covariance)
     if not np.allclose(covariance, covariance.T) or values[0] < -1e-9 * abs(values[2]):
         raise ValueError("Expected a covariance that is symmetric, without negative eigenvalues.")
-    root: np.ndarray = (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T
-    return root
+    return (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T
