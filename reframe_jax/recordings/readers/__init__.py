@@ -10,17 +10,15 @@ from pathlib import Path
 from reframe_jax.recordings.readers.arrays import ARRAYS
 from reframe_jax.recordings.readers.bags import BAG
 from reframe_jax.recordings.readers.c3d import C3D
-from reframe_jax.recordings.readers.echo import ECHO
-from reframe_jax.recordings.readers.hdf5 import HDF5
+from reframe_jax.recordings.readers.datasets import HDF5, PARQUET
 from reframe_jax.recordings.readers.lines import head_in_utf8
 from reframe_jax.recordings.readers.mha import MHA
 from reframe_jax.recordings.readers.motive import MOTIVE
 from reframe_jax.recordings.readers.ndi import NDI
-from reframe_jax.recordings.readers.parquet import PARQUET
 from reframe_jax.recordings.readers.qualisys import QUALISYS
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.readers.table import TABLE
-from reframe_jax.recordings.readers.trajectory import KITTI, TRAJECTORY
+from reframe_jax.recordings.readers.trajectory import ECHO, KITTI, TRAJECTORY
 from reframe_jax.recordings.readers.trc import TRC
 from reframe_jax.recordings.readers.vicon import VICON
 from reframe_jax.recordings.recording import RecordingError

@@ -10,12 +10,12 @@ import io
 import os
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,14 +37,12 @@ _TOPICS = (
 _TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
-@dataclass(frozen=True)
-class _Edge:
-    """The pose of a child frame in its parent frame, constant or not, and the count of its transforms."""
+class _Edge(NamedTuple):
+    """The pose of a child frame in its parent frame, constant or not."""
 
     parent: str
     child: str
     static: bool
-    count: int
 
 
 class _Samples:
@@ -108,12 +106,12 @@ class _Bag:
             known = _TF[0] if connection.msgtype in _TF else connection.msgtype
             yield connection, logged, self._decode(data, known)
 
-    def transforms(self) -> Iterator[tuple[tuple[str, str], bool, int, Any]]:
-        """Yield parent and child, whether the transform is static, time of recording in ns, and transform."""
+    def transforms(self) -> Iterator[tuple[_Edge, int, Any]]:
+        """Yield edge, time of recording in ns, and transform."""
         for connection, logged, message in self.messages(self.connections(_TF)):
             for each in message.transforms:
                 pair = _plain(each.header.frame_id), _plain(each.child_frame_id)
-                yield pair, connection.topic.endswith("tf_static"), logged, each
+                yield _Edge(*pair, connection.topic.endswith("tf_static")), logged, each
 
 
 class _Stream(io.BufferedReader):
@@ -219,12 +217,11 @@ def _read_chain(path: Path, bag: _Bag, ground: str, body: str) -> Rows:
     interpolated, or left out where they are unknown. For a static edge, the last transform counts.
     """
     edges = _find_chain(path, _edges(bag), _plain(ground), _plain(body))
-    samples = {(edge.parent, edge.child, edge.static): _Samples() for edge, _ in edges}
-    for pair, static, logged, each in bag.transforms():
-        if (*pair, static) in samples:
-            samples[*pair, static].add(path, each.header, logged, each)
-    every = [kept.rows(path, static) for (*_, static), kept in samples.items()]
-    chain = [(*edge, rows) for edge, rows in zip(edges, every, strict=True)]
+    samples = {edge: _Samples() for edge, _ in edges}
+    for edge, logged, each in bag.transforms():
+        if edge in samples:
+            samples[edge].add(path, each.header, logged, each)
+    chain = [(edge, along, samples[edge].rows(path, edge.static)) for edge, along in edges]
     for edge, _, rows in chain:
         _clean(path, edge, rows)
     moving = [rows for edge, _, rows in chain if not edge.static]
@@ -253,20 +250,18 @@ def _read_chain(path: Path, bag: _Bag, ground: str, body: str) -> Rows:
     return joined
 
 
-def _edges(bag: _Bag) -> list[_Edge]:
+def _edges(bag: _Bag) -> dict[_Edge, int]:
     """One edge for every parent and child frame that a transform connects, with its number of transforms.
 
     An edge is static only if all its transforms are static; otherwise the static ones do not count.
     """
     counts: dict[tuple[str, str], list[int]] = {}
-    for pair, static, _, _ in bag.transforms():
-        counts.setdefault(pair, [0, 0])[static] += 1
-    return [
-        _Edge(*pair, static=not moving, count=moving or still) for pair, (moving, still) in counts.items()
-    ]
+    for (*pair, static), _, _ in bag.transforms():
+        counts.setdefault((pair[0], pair[1]), [0, 0])[static] += 1
+    return {_Edge(*pair, static=not moving): moving or still for pair, (moving, still) in counts.items()}
 
 
-def _find_chain(path: Path, edges: list[_Edge], ground: str, body: str) -> list[tuple[_Edge, bool]]:
+def _find_chain(path: Path, edges: Iterable[_Edge], ground: str, body: str) -> list[tuple[_Edge, bool]]:
     """Return the edges from one frame to another, each with whether it leads from parent to child."""
     near: dict[str, list[tuple[str, _Edge, bool]]] = {}
     for edge in edges:
@@ -323,8 +318,8 @@ def _contents(path: Path) -> list[Entry]:
     children = {edge.child for edge in edges}
     roots = dict.fromkeys(edge.parent for edge in edges if edge.parent not in children)
     found += [Entry("from_frame", root, "tf frame without a parent") for root in roots]
-    for edge in edges:
-        kind = "static" if edge.static else f"{edge.count} transforms"
+    for edge, count in edges.items():
+        kind = "static" if edge.static else f"{count} transforms"
         found.append(Entry("to_frame", edge.child, f"tf frame in {edge.parent}, {kind}"))
     return found
 

@@ -11,6 +11,9 @@ from pathlib import Path
 
 from reframe_jax.recordings.recording import RecordingError
 
+Lines = Iterator[tuple[int, list[str]]]
+"""Numbers and cells of lines."""
+
 _LONGEST = 2**16  # characters of a line, and bytes that show the encoding
 _SEPARATOR = "sep="  # start of the first line in some files of spreadsheets
 _CONTROLS = bytes(range(9)) + b"\x0e\x0f\x7f"  # not in texts
@@ -35,7 +38,7 @@ def read_lines(path: Path, blanks: str | None = None) -> Iterator[tuple[int, str
                 yield number, line.strip(blanks).replace("\u2212", "-")  # typographic minus sign
 
 
-def read_cells(path: Path, delimiter: str | None = None) -> Iterator[tuple[int, list[str]]]:
+def read_cells(path: Path, delimiter: str | None = None) -> Lines:
     """Yield the numbers and the cells of all lines of an export that are not blank.
 
     By default, the first tab, semicolon or comma of a line is its delimiter, because later cells may be names

@@ -7,7 +7,7 @@ such as -3.7e28.
 """
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 from pathlib import Path
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.recordings.readers.collecting import assume_millimetres, collect
-from reframe_jax.recordings.readers.lines import find_delimiter, is_number, read_lines, split
+from reframe_jax.recordings.readers.lines import Lines, find_delimiter, is_number, read_lines, split
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
 from reframe_jax.recordings.readers.units import LENGTH_WORDS, plain_name, split_unit
 from reframe_jax.recordings.recording import RecordingError
@@ -32,8 +32,6 @@ _TRACKED = re.compile(r"ok|enabled|valid|tracked|visible|0x0+|0+|")
 _NO_TIMES = "it counts frames: give the sample time, dt (--dt), 1/60 s for a Polaris at 60 Hz"
 _MOST = 100  # tools
 _LOST = 1e20  # larger numbers are no measurements
-
-_Lines = Iterator[tuple[int, list[str]]]
 
 
 @dataclass(frozen=True)
@@ -55,7 +53,7 @@ def read_ndi(path: Path, wanted: Selection) -> Rows:
     frame = [] if tool.frame is None else [tool.frame]
     tracked = []
 
-    def rows() -> _Lines:
+    def rows() -> Lines:
         for number, cells in lines:
             if tool.row is not None and cells[tool.row : tool.row + 1] != [name]:
                 continue  # the row of another tool
@@ -82,7 +80,7 @@ def read_ndi(path: Path, wanted: Selection) -> Rows:
     return found
 
 
-def _read_header(path: Path) -> tuple[list[str], dict[str, _Tool], _Lines]:
+def _read_header(path: Path) -> tuple[list[str], dict[str, _Tool], Lines]:
     """Return the names of the columns, the tools, and the rows of cells after the header."""
     lines = read_lines(path)
     header, line = next(((number, line) for number, line in lines if _starts(_names(line))), (0, ""))

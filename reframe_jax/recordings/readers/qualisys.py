@@ -7,7 +7,6 @@ show whether the matrix is stored row by row. Numbers are 0 or missing where a b
 """
 
 import re
-from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import euler_matrices
 from reframe_jax.recordings.readers.collecting import collect, drop_zeros, matrix_rows
-from reframe_jax.recordings.readers.lines import is_number, read_cells
+from reframe_jax.recordings.readers.lines import Lines, is_number, read_cells
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, shown
@@ -25,8 +24,6 @@ _FULL, _ANGLES_ONLY = 16, 7  # columns of a body, with and without the matrix
 _STANDARD, _ORDER = "qualisys standard", "XYZ"  # roll, pitch, yaw about the moving axes
 _AGREES = 2e-2  # difference of matrices that agree; numbers have three digits or more
 _MOST_HEADINGS = 1000  # lines; each event has one
-
-_Lines = Iterator[tuple[int, list[str]]]
 
 
 def read_qualisys(path: Path, wanted: Selection) -> Rows:
@@ -70,9 +67,9 @@ def _ordered(rows: Rows, elements: np.ndarray, turned: np.ndarray) -> np.ndarray
     return by_column
 
 
-def _read_header(path: Path) -> tuple[dict[str, str], dict[str, range], int | None, int, _Lines]:
+def _read_header(path: Path) -> tuple[dict[str, str], dict[str, range], int | None, int, Lines]:
     """Return the names and values, the columns of every body and of the time, the width, and the rows."""
-    lines: _Lines = read_cells(path, "\t")
+    lines = read_cells(path, "\t")
     about: dict[str, list[str]] = {}
     for number, cells in lines:  # noqa: B007
         if len(about) > _MOST_HEADINGS or not re.fullmatch(r"[A-Z][A-Z0-9_]+", cells[0]):

@@ -1,7 +1,7 @@
 """Tables with a header: the names of the columns select them, and the header may state units."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import chain, zip_longest
 from pathlib import Path
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from reframe_jax.recordings.readers.collecting import collect
 from reframe_jax.recordings.readers.columns import OPTIONS, find_columns, set_poses
-from reframe_jax.recordings.readers.lines import find_delimiter, is_number, read_lines, split, trim
+from reframe_jax.recordings.readers.lines import Lines, find_delimiter, is_number, read_lines, split, trim
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.readers.units import (
     ANGLE_WORDS,
@@ -142,7 +142,7 @@ def read_table(path: Path, wanted: Selection) -> Rows:
     return rows
 
 
-def _read_header(path: Path) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
+def _read_header(path: Path) -> tuple[list[str], Lines]:
     """Return the titles of the header, and the rows of cells below."""
     lines = read_lines(path)
     before: list[tuple[int, str]] = []  # comments, lines of text, and rows without a pose
@@ -173,7 +173,7 @@ def _read_header(path: Path) -> tuple[list[str], Iterator[tuple[int, list[str]]]
         pairs = zip_longest(titles, units[: len(titles)], fillvalue="")
         titles = [f"{title} [{unit}]" if unit else title for title, unit in pairs]
 
-    def rows() -> Iterator[tuple[int, list[str]]]:
+    def rows() -> Lines:
         late = [line for line in before[start + 1 :] if any(map(is_number, split(line[1], delimiter)))]
         for line, row in chain(late, [(number, text)], lines):
             if row[0] not in _COMMENT:

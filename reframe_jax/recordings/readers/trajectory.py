@@ -3,6 +3,10 @@
 TUM trajectories have 8 numbers in a line. KITTI trajectories have the 12 numbers of a pose matrix, row by row
 and without times. KITTI-360 writes the frame number first. Other programs write all 16 numbers, or a time
 first.
+
+``ros2 topic echo --csv`` writes the fields of a message: seconds and nanoseconds of the stamp, the names of
+one or two frames, the 7 numbers of a pose, and perhaps covariances and velocities. PoseStamped,
+PoseWithCovarianceStamped and Odometry have this layout.
 """
 
 import re
@@ -10,7 +14,15 @@ from itertools import chain
 from pathlib import Path
 
 from reframe_jax.recordings.readers.collecting import collect
-from reframe_jax.recordings.readers.lines import find_delimiter, first_numbers, read_lines, split, trim
+from reframe_jax.recordings.readers.lines import (
+    find_delimiter,
+    first_numbers,
+    is_number,
+    read_cells,
+    read_lines,
+    split,
+    trim,
+)
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows
@@ -49,6 +61,25 @@ def _collect(path: Path, starts: dict[int, int]) -> Rows:
     return collect(path, chain([(number, cells)], rows), width, range(first, width), 0 if first else None)
 
 
+def read_echo(path: Path, wanted: Selection) -> Rows:
+    """Read rows of ``sec,nanosec,frame_id,x,y,z,qx,qy,qz,qw``, with an optional child frame before ``x``."""
+    lines = read_cells(path, ",")
+    number, cells = next(lines, (0, [""]))
+    start = _first_of_pose(cells)
+    if not start:
+        raise RecordingError(f"{path}: line {number}: expected a stamp, a frame and the 7 numbers of a pose.")
+    rows = chain([(number, cells)], lines)
+    return collect(path, rows, len(cells), range(start, start + 7), (0, 1))
+
+
+def _first_of_pose(cells: list[str]) -> int:
+    """Column of the first number after the frames; 0 if the row contains no pose."""
+    if len(cells) < 10 or not (cells[0].isdecimal() and cells[1].isdecimal()) or is_number(cells[2]):
+        return 0
+    first = 3 if is_number(cells[3]) else 4
+    return first if len(cells) >= first + 7 and all(map(is_number, cells[first:])) else 0
+
+
 def _is_tum(path: Path, head: bytes) -> bool:
     width, comment = first_numbers(head)
     named = len(comment) == width and any(re.match(r"(?i)q|.*(quat|orient|rot)", cell) for cell in comment)
@@ -68,4 +99,13 @@ KITTI = Reader(
     recognises=lambda path, head: (start := first_numbers(head))[0] in _KITTI and not start[1][12:],
     read=read_kitti,
     options=frozenset({"unit", "time_unit"}),
+)
+ECHO = Reader(
+    name="an output of ros2 topic echo --csv",
+    suffixes=(".csv", ".txt"),
+    recognises=lambda path, head: (
+        _first_of_pose(split(head.decode(errors="replace").split("\n")[0], ",")) > 0
+    ),
+    read=read_echo,
+    options=frozenset({"unit", "quaternion"}),
 )

@@ -5,14 +5,13 @@ the row ``Frame#, Time, ...``, the name of each marker is above its three column
 empty, NaN or all 0 where a marker was not seen.
 """
 
-from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from reframe_jax.recordings.readers.collecting import collect
-from reframe_jax.recordings.readers.lines import find_delimiter, is_number, read_lines, split
+from reframe_jax.recordings.readers.lines import Lines, find_delimiter, is_number, read_lines, split
 from reframe_jax.recordings.readers.markers import marker_entries, set_marker_poses
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.recording import RecordingError
@@ -32,7 +31,7 @@ def read_trc(path: Path, wanted: Selection) -> Rows:
     return rows
 
 
-def _read_header(path: Path) -> tuple[list[str], str, Iterator[tuple[int, list[str]]]]:
+def _read_header(path: Path) -> tuple[list[str], str, Lines]:
     """Return the names of the markers, the unit, and the rows after the names."""
     lines = ((number, split(line, find_delimiter(line))) for number, line in read_lines(path, "\r\n"))
     head = [cells for _, cells in islice(lines, 3)]

@@ -7,7 +7,6 @@ Cells are empty or all 0, or the row ends, where a body was not seen.
 """
 
 import re
-from collections.abc import Iterator
 from itertools import takewhile
 from pathlib import Path
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from reframe_jax.recordings.readers.collecting import collect, drop_zeros
 from reframe_jax.recordings.readers.columns import set_poses
-from reframe_jax.recordings.readers.lines import is_number, read_cells
+from reframe_jax.recordings.readers.lines import Lines, is_number, read_cells
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, listed, shown
@@ -25,9 +24,6 @@ _WITH_POSES = ("objects", "segments")
 _TITLES = (*_WITH_POSES, "trajectories", "devices", "joints", "model outputs", "events")
 _START = re.compile(rf"\s*({'|'.join(_TITLES)})[,;\t ]*([\r\n]|$)", re.IGNORECASE)
 _HEADING = re.compile(r"^Global Angle (\([A-Za-z ]+\) )?")  # before names: Global Angle (Quaternion) Rod:Rod
-
-_Lines = Iterator[tuple[int, list[str]]]
-
 
 _Body = tuple[list[int], list[int], float, float]
 """Columns of the rotation and of the position, and their units in rad and m."""
@@ -53,7 +49,7 @@ def read_vicon(path: Path, wanted: Selection) -> Rows:
     return rows
 
 
-def _read_header(path: Path) -> tuple[float, int, dict[str, _Body], _Lines]:
+def _read_header(path: Path) -> tuple[float, int, dict[str, _Body], Lines]:
     """Return the rate, the width and the bodies of the first section with poses, and its rows of numbers."""
     lines, found = read_cells(path), []
     for _, cells in lines:

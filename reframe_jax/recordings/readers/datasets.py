@@ -1,4 +1,7 @@
-"""Columns of Parquet files, such as those of LeRobot; the user names them."""
+"""Columns of Parquet files, such as those of LeRobot, and of HDF5 files, such as those of robomimic.
+
+The user names the columns; in HDF5 files, a column is a data set.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -11,16 +14,17 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, check_size, listed, shown
 from reframe_jax.recordings.selection import Selection, flag
 
-_WHOLE = "a whole Parquet file"
+_WHOLE_PARQUET, _WHOLE_HDF5 = "a whole Parquet file", "a whole HDF5 file"
 _TIME, _EPISODE = Column("timestamp"), Column("episode_index")  # names in LeRobot
 _NO_TIMES = "name the column of times timestamp, or give the sample time, dt (--dt)"
+_NO_TIMES_IN_SETS = "times in HDF5 files are not read: give the sample time, dt (--dt)"
 _BATCH = 2**14  # rows
 
 
 def read_parquet(path: Path, wanted: Selection) -> Rows:
     """Read poses from the named columns, and times from ``timestamp``, s; see :class:`Reader`."""
     library = import_extra(path, "pyarrow.parquet", "parquet")
-    with translate_errors(path, _WHOLE), library.ParquetFile(path) as file:
+    with translate_errors(path, _WHOLE_PARQUET), library.ParquetFile(path) as file:
         names = file.schema_arrow.names
         chosen = find_columns(path, wanted, names)
         timed, numbered = _TIME.name in names, _EPISODE.name in names
@@ -34,13 +38,13 @@ def read_parquet(path: Path, wanted: Selection) -> Rows:
         for batch in file.iter_batches(_BATCH, columns=list(dict.fromkeys(each.name for each in every))):
             kept = np.ones(len(batch), bool)
             if numbered:
-                number = _numbers(path, batch, _EPISODE)[:, 0]
+                number = _numbers_of_batch(path, batch, _EPISODE)[:, 0]
                 episodes |= set(number.astype(int).tolist())
                 kept = kept if wanted.episode is None else number == wanted.episode
             count += int(kept.sum())
             check_size(path, count)
             for group, part in zip(groups, parts, strict=True):
-                part.append(np.hstack([_numbers(path, batch, column)[kept] for column in group]))
+                part.append(np.hstack([_numbers_of_batch(path, batch, column)[kept] for column in group]))
     if (wanted.episode is None and len(episodes) > 1) or (wanted.episode not in (None, *episodes)):
         numbers = listed(map(str, sorted(episodes)), 10)
         raise RecordingError(f"{path}: contains the episodes {numbers}; name one, {flag('episode')}.")
@@ -53,7 +57,7 @@ def read_parquet(path: Path, wanted: Selection) -> Rows:
     return rows
 
 
-def _numbers(path: Path, batch: Any, column: Column) -> np.ndarray:
+def _numbers_of_batch(path: Path, batch: Any, column: Column) -> np.ndarray:
     """Return some numbers of each row of a batch, (N, k); NaN where a number is missing."""
     cells = batch.column(column.name)
     kind, flat = str(cells.type), cells
@@ -69,9 +73,9 @@ def _numbers(path: Path, batch: Any, column: Column) -> np.ndarray:
     return values.reshape(len(cells), -1)[:, column.part]
 
 
-def _contents(path: Path) -> list[Entry]:
+def _list_columns(path: Path) -> list[Entry]:
     library = import_extra(path, "pyarrow.parquet", "parquet")
-    with translate_errors(path, _WHOLE), library.ParquetFile(path) as file:
+    with translate_errors(path, _WHOLE_PARQUET), library.ParquetFile(path) as file:
         rows = file.metadata.num_rows
         columns = [
             (each.name, getattr(each.type, "list_size", 1), f"{each.type}, {rows} rows")
@@ -87,5 +91,73 @@ PARQUET = Reader(
     recognises=lambda path, head: head.startswith(b"PAR1"),
     read=read_parquet,
     options=OPTIONS | {"episode", "time_unit"},
-    contents=_contents,
+    contents=_list_columns,
+)
+
+
+def read_hdf5(path: Path, wanted: Selection) -> Rows:
+    """Read poses from the named data sets, without times; see :class:`Reader`."""
+    library = import_extra(path, "h5py", "hdf5")
+    with translate_errors(path, _WHOLE_HDF5), library.File(path, "r") as file:
+        sets = _sets(library, file)
+        chosen = find_columns(path, wanted, [*sets])
+        counts = {len(sets[column.name]) for columns in chosen for column in columns}
+        if len(counts) > 1:
+            lengths = ", ".join(map(str, sorted(counts)))
+            raise RecordingError(f"{path}: expected data sets of the same length; found {lengths}.")
+        check_size(path, *counts)
+        positions, orientations = (
+            np.hstack([_numbers_of_set(sets[column.name], column) for column in columns])
+            for columns in chosen
+        )
+    rows = Rows(path, "sample", np.arange(len(positions)), positions, None, no_times=_NO_TIMES_IN_SETS)
+    set_poses(rows, positions, orientations, wanted)
+    return rows
+
+
+def _sets(library: Any, file: Any) -> dict[str, Any]:
+    """Return the data sets of numbers by their paths."""
+    found: dict[str, Any] = {}
+
+    def visit(name: str, thing: Any) -> None:
+        if isinstance(thing, library.Dataset) and thing.dtype.kind in "fiu" and thing.ndim in (1, 2, 3):
+            found[name] = thing
+
+    file.visititems(visit)
+    return found
+
+
+def _numbers_of_set(data: Any, column: Column) -> np.ndarray:
+    """Read some columns of all rows, (N, k).
+
+    Of more than nine columns nothing is read: the result is an empty array of that shape, and the later check
+    reports its width.
+    """
+    if data.ndim != 2:
+        matrices = data.ndim == 3 and data.shape[1:] == (3, 3)
+        shape = len(data), 9 if matrices else int(data.ndim == 1)
+        return np.asarray(data[()], float).reshape(shape)[:, column.part] if shape[1] else np.empty(shape)
+    wanted = range(*column.part.indices(data.shape[1]))
+    return np.asarray(data[:, column.part], float) if len(wanted) <= 9 else np.empty((len(data), len(wanted)))
+
+
+def _list_sets(path: Path) -> list[Entry]:
+    library = import_extra(path, "h5py", "hdf5")
+    with translate_errors(path, _WHOLE_HDF5), library.File(path, "r") as file:
+        return column_entries(
+            [
+                (name, int(np.prod(data.shape[1:])), f"{data.shape} {data.dtype}")
+                for name, data in _sets(library, file).items()
+                if data.ndim < 3 or data.shape[1:] == (3, 3)
+            ]
+        )
+
+
+HDF5 = Reader(
+    name="an HDF5 file",
+    suffixes=(".hdf5", ".h5"),
+    recognises=lambda path, head: head.startswith(b"\x89HDF\r\n\x1a\n"),
+    read=read_hdf5,
+    options=OPTIONS,
+    contents=_list_sets,
 )
