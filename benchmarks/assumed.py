@@ -30,8 +30,8 @@ from scipy.spatial.transform import Rotation
 import reframe_jax as rf
 from benchmarks.common import machine, new_parser, write_record
 from benchmarks.golden import fit_axis
-from reframe_jax.export.common import two_digits
 from reframe_jax.geometry.numpy_rotations import nearest_rotations
+from reframe_jax.joints.joint import two_digits
 
 __all__ = ["Setting", "axis_errors", "axis_of", "centre_errors", "main", "make", "sara", "score"]
 

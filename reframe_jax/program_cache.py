@@ -14,6 +14,7 @@ import pickle
 import re
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from typing import Any
 import jax
 
 _UNREADABLE = r"Error reading persistent compilation cache entry for '([^']+)'"
+_FLATBUFFERS = importlib.util.find_spec("flatbuffers") is not None
 _folder: Path | None = None
 
 
@@ -60,12 +62,7 @@ def can_keep(static: dict[str, Any]) -> bool:
     Code that is not part of the library, such as that of a user's solver, may change without a change of its
     name: its programs are not kept.
     """
-    return _folder is not None and _flatbuffers() and all(map(_is_plain, static.values()))
-
-
-@cache
-def _flatbuffers() -> bool:
-    return importlib.util.find_spec("flatbuffers") is not None
+    return _folder is not None and _FLATBUFFERS and all(map(_is_plain, static.values()))
 
 
 def _is_plain(value: Any) -> bool:
@@ -87,15 +84,9 @@ def load_or_export(
     leaves, tree = jax.tree.flatten(arguments)
     platform = platform_of(leaves)
     shapes = [(leaf.shape, str(leaf.dtype)) for leaf in leaves]
-    what = (
-        _version(),
-        platform,
-        function.__module__,
-        function.__qualname__,
-        shapes,
-        str(tree),
-        _names(static),
-    )
+    functions = {k: f"{v.__module__}.{v.__qualname__}" for k, v in static.items() if inspect.isfunction(v)}
+    name = function.__module__, function.__qualname__
+    what = _version(), platform, name, shapes, str(tree), sorted({**static, **functions}.items())
     assert _folder is not None
     file = _folder / "programs" / hashlib.sha256(repr(what).encode()).hexdigest()
     kept = _read(file)
@@ -130,11 +121,6 @@ def _version() -> str:
     return digest.hexdigest()
 
 
-def _names(static: dict[str, Any]) -> str:
-    functions = {k: f"{v.__module__}.{v.__qualname__}" for k, v in static.items() if inspect.isfunction(v)}
-    return repr(sorted({**static, **functions}.items()))
-
-
 def _read(file: Path) -> tuple[bytes, Any] | None:
     """What :func:`_write` wrote, or None if the file is missing or damaged."""
     try:
@@ -149,12 +135,10 @@ def _write(file: Path, kept: tuple[bytes, Any]) -> None:
     """Write a file in one step; a folder in which nothing can be written only costs time later."""
     content = pickle.dumps(kept)
     part = file.with_name(f"{file.name}.{os.getpid()}")
-    try:
+    with suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
         part.write_bytes(hashlib.sha256(content).digest() + content)
         part.replace(file)
-    except OSError:
-        return
 
 
 def _replace_unreadable(folder: Path) -> None:

@@ -51,11 +51,6 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def two_digits(value: float) -> str:
-    """Format a number with two significant digits, without an exponent: 320, not 3.2e+02."""
-    return f"{float(f'{value:.2g}'):g}"
-
-
 def format_probability(value: float) -> str:
     """Format a probability with two digits, never as 0 or 1."""
     return "<0.01" if value < 0.01 else ">0.99" if value > 0.99 else f"{value:.2f}"

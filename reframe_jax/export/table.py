@@ -10,7 +10,7 @@ from reframe_jax.constraints.types import BODY_NAMES, LinearType
 from reframe_jax.export import common
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import Identification
-from reframe_jax.joints.joint import format_vector
+from reframe_jax.joints.joint import format_vector, two_digits
 from reframe_jax.motion.checks import Status
 from reframe_jax.recordings.recording import Recording
 from reframe_jax.recordings.rows import name_rows
@@ -87,7 +87,7 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         likely = frame.free_probability[i] if frame.dof[i] else 1 - frame.free_probability[i]
         if likely < _CLEAR:
             freedom += f" ({common.format_probability(likely)})"
-        size = f"RMS {common.two_digits(1e3 * frame.amplitude[i])} {_SIZES[group]}"
+        size = f"RMS {two_digits(1e3 * frame.amplitude[i])} {_SIZES[group]}"
         speed = f"{_speed(frame.rms[i]):>8} {_UNITS[group]:5}"
         lines.append(f"  axis {i + 1}  {format_vector(axis, 3, 6)}  {speed}  {freedom}, {size}")
     if isinstance(kind, LinearType):

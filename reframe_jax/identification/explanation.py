@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from reframe_jax.constraints.types import BODY_NAMES, AngularType, LinearType
-from reframe_jax.joints.joint import format_vector
+from reframe_jax.joints.joint import format_vector, two_digits
 
 _INTERVAL = 1.96  # half-width of a 95 % interval, in standard deviations
 _SLOW = 2.0  # inflation of error bars above which the text mentions slow errors
@@ -172,7 +172,7 @@ def _held(finding: Finding) -> list[str]:
         ]
         sizes.append(
             " and ".join(
-                f"{_two_digits(1e3 * float(np.max(size)))} {unit}" for size, unit in moved if len(size)
+                f"{two_digits(1e3 * float(np.max(size)))} {unit}" for size, unit in moved if len(size)
             )
         )
     held, free_motion = sizes
@@ -187,11 +187,6 @@ def _held(finding: Finding) -> list[str]:
 def _largest(covariance: Any) -> float:
     """Return half the width of the 95 % interval along the direction with the largest variance."""
     return _INTERVAL * float(np.sqrt(max(np.linalg.eigvalsh(np.asarray(covariance, float))[-1], 0)))
-
-
-def _two_digits(value: float) -> str:
-    """Format a number with two digits and without an exponent: 320, not 3.2e+02."""
-    return f"{float(f'{value:.2g}'):g}"
 
 
 def _within(size: float, unit: str) -> str:

@@ -151,3 +151,8 @@ def format_vector(vector: Any, digits: int, width: int = 0) -> str:
     """Format a vector with a number of decimals, and a least width of each number."""
     # adding zero after rounding removes the sign of a negative zero
     return "(" + ", ".join(f"{np.round(x, digits) + 0.0:{width}.{digits}f}" for x in vector) + ")"
+
+
+def two_digits(value: float) -> str:
+    """Format a number with two significant digits, without an exponent: 320, not 3.2e+02."""
+    return f"{float(f'{value:.2g}'):g}"

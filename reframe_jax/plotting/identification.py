@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.export.common import format_probability, two_digits
+from reframe_jax.export.common import format_probability
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.frames import AngularFrame, LinearFrame
 from reframe_jax.identification.results import Identification
 from reframe_jax.identification.velocities import frame_velocities
+from reframe_jax.joints.joint import two_digits
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.plotting.scene import draw_space
 from reframe_jax.plotting.style import FONT, LEGEND_ABOVE, NOT_READ, OUTLIERS, axis_colours, new_figure
