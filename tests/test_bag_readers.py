@@ -9,7 +9,7 @@ import pytest
 from bag_files import COVARIANCE, KINDS, ODOMETRY, POSE, START, TF, TRANSFORM, Messages, Sample, write_bag
 from export_files import motion
 
-from reframe_jax.recordings import rows
+from reframe_jax.recordings import recording as records
 from reframe_jax.recordings.reading import list_contents, load_recording
 from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.recordings.relative import interpolate_poses
@@ -263,7 +263,7 @@ def test_bags_without_poses(tmp_path: Path) -> None:
 
 
 def test_bags_of_too_many_poses(tmp_path: Path, poses: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rows, "MOST_ROWS", 8)
+    monkeypatch.setattr(records, "MOST_ROWS", 8)
     with pytest.raises(RecordingError, match="has more than 8 rows; divide the recording into files"):
         load_recording(write_bag(tmp_path, "a.mcap", topic("a.mcap", POSE, poses)))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from recording_files import HEADER, check, poses_of
 
-from reframe_jax.recordings import rows
+from reframe_jax.recordings import recording as records
 from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.recording import RecordingError
 
@@ -52,7 +52,7 @@ def test_recordings_of_too_many_samples_are_refused(tmp_path: Path, monkeypatch:
         archive.writestr("poses.npy", npy("|u1", (count, 7), bytes(7 * count)))
     with pytest.raises(RecordingError, match="has more than 8388608 rows"):
         load_recording(tmp_path / "a.npz", dt=0.1)
-    monkeypatch.setattr(rows, "MOST_ROWS", 8)
+    monkeypatch.setattr(records, "MOST_ROWS", 8)
     (tmp_path / "a.txt").write_text("0 0 0 0 0 0 0 1\n" * 9)
     with pytest.raises(RecordingError, match="has more than 8 rows; divide"):
         load_recording(tmp_path / "a.txt")

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.calibration.robust import fit_touches, student_factor
 from reframe_jax.recordings.checks import MIN_POSES, make_poses
-from reframe_jax.recordings.rows import Rows
+from reframe_jax.recordings.recording import Rows
 
 _TILTED = 0.02  # rad RMS, least rotation of a direction; tracker errors can reach it
 _TURNED = 0.1  # rad RMS, least rotation about an axis

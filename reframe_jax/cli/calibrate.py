@@ -16,8 +16,7 @@ from reframe_jax.cli.outputs import add_outputs, check_outputs, write_document
 from reframe_jax.cli.printing import fail, print_error, print_result
 from reframe_jax.cli.reading import add_reading, expand, read_recording
 from reframe_jax.export.calibration import SCHEMA, calibration_to_record, calibration_to_table
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import is_path
+from reframe_jax.recordings.recording import RecordingError, is_path
 
 _CONTINUOUS = (
     "consecutive poses are close together, so that their errors are correlated and the intervals below are "

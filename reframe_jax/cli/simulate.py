@@ -9,8 +9,7 @@ from reframe_jax.cli import arguments
 from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS
 from reframe_jax.motion.checks import MIN_VELOCITIES
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import MOST_ROWS
+from reframe_jax.recordings.recording import MOST_ROWS, RecordingError
 from reframe_jax.recordings.writing import save_recording
 
 _CHOICES = {

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.recordings.reading import list_contents
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import shown
+from reframe_jax.recordings.recording import RecordingError, shown
 from reframe_jax.recordings.selection import flag
 
 

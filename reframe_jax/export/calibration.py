@@ -10,8 +10,7 @@ import numpy as np
 from reframe_jax.calibration.tool import Calibration
 from reframe_jax.export.common import plain
 from reframe_jax.joints.joint import format_vector
-from reframe_jax.recordings.recording import Recording
-from reframe_jax.recordings.rows import name_rows
+from reframe_jax.recordings.recording import Recording, name_rows
 
 SCHEMA = "reframe-jax/calibration/1"
 

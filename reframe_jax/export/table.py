@@ -12,8 +12,7 @@ from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import Identification
 from reframe_jax.joints.joint import format_vector, two_digits
 from reframe_jax.motion.checks import Status
-from reframe_jax.recordings.recording import Recording
-from reframe_jax.recordings.rows import name_rows
+from reframe_jax.recordings.recording import Recording, name_rows
 
 _UNITS = {"angular": "rad/s", "linear": "m/s"}
 _SIZES = {"angular": "mrad", "linear": "mm"}

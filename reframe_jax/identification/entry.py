@@ -25,7 +25,7 @@ from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.norms import check_exponent
 from reframe_jax.recordings.continuity import is_unordered
 from reframe_jax.recordings.lost import find_lost_poses
-from reframe_jax.recordings.rows import name_rows
+from reframe_jax.recordings.recording import name_rows
 from reframe_jax.solvers import Solver
 
 _CHUNK = {"cpu": 32, "gpu": 16384}  # windows per program: their arrays fit the cache, or the memory

@@ -6,8 +6,7 @@ from reframe_jax.geometry.numpy_rotations import nearest_rotations, quaternions_
 from reframe_jax.recordings.continuity import is_unordered
 from reframe_jax.recordings.conventions import keeps_a_point_better, sample_rows
 from reframe_jax.recordings.lost import find_lost_poses
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import Rows, name_rows
+from reframe_jax.recordings.recording import RecordingError, Rows, name_rows
 from reframe_jax.recordings.selection import ANGLE_UNITS, UNITS, Selection
 
 MIN_POSES = 4  # smallest number of poses for a calibration; a motion needs 5

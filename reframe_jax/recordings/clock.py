@@ -7,8 +7,7 @@ import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import rotation_vectors
 from reframe_jax.recordings.conventions import sample_rows
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import EPOCH, Rows, is_path
+from reframe_jax.recordings.recording import EPOCH, RecordingError, Rows, is_path
 from reframe_jax.recordings.selection import TIME_UNITS, Selection, unit_of
 
 _SLOW, _SLOWEST = 0.9, 1e3  # s between samples: noted for a path; refused

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices, rotation_vectors
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import AngleTriples, Rows
+from reframe_jax.recordings.recording import AngleTriples, RecordingError, Rows
 from reframe_jax.recordings.selection import Selection, unit_of
 
 _FULL_TURN = 2 * np.pi * 1.001

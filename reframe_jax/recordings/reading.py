@@ -15,9 +15,8 @@ from reframe_jax.recordings import checks, clock
 from reframe_jax.recordings.conventions import check_order, reorder
 from reframe_jax.recordings.readers import choose_reader
 from reframe_jax.recordings.readers.reader import Entry, Reader
-from reframe_jax.recordings.recording import Recording, RecordingError
+from reframe_jax.recordings.recording import Recording, RecordingError, Rows
 from reframe_jax.recordings.relative import relative_poses
-from reframe_jax.recordings.rows import Rows
 from reframe_jax.recordings.selection import (
     Angles,
     AngleUnit,

@@ -8,8 +8,7 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
 from reframe_jax.recordings.checks import make_poses
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import HEADER, Rows
+from reframe_jax.recordings.recording import HEADER, RecordingError, Rows
 
 _WRENCH_HEADER = "fx,fy,fz,tx,ty,tz"
 

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.recordings.readers.reader import Reader, translate_errors
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import EPOCH, Rows, check_size, listed
+from reframe_jax.recordings.recording import EPOCH, RecordingError, Rows, check_size, listed
 from reframe_jax.recordings.selection import Selection
 
 _NAMES = ("poses", "positions", "quaternions", "times", "wrenches")

@@ -23,9 +23,8 @@ from reframe_jax.recordings.checks import drop_unfinished, leave_out_lost, make_
 from reframe_jax.recordings.clock import sort_times
 from reframe_jax.recordings.readers.collecting import matrix_rows
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, import_extra, translate_errors
-from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.recording import RecordingError, Rows, check_size, listed, shown
 from reframe_jax.recordings.relative import interpolate_poses, invert_poses, origin_shift
-from reframe_jax.recordings.rows import Rows, check_size, listed, shown
 from reframe_jax.recordings.selection import Selection, flag
 
 _TRANSFORM, _ARRAY = "geometry_msgs/msg/TransformStamped", "geometry_msgs/msg/PoseArray"

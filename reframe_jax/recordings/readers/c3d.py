@@ -26,8 +26,7 @@ from reframe_jax.recordings.readers.markers import (
     unit_of_markers,
 )
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, import_extra
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import Rows, check_size, shown
+from reframe_jax.recordings.recording import RecordingError, Rows, check_size, shown
 from reframe_jax.recordings.selection import Selection
 
 _PROCESS = "import sys; from reframe_jax.recordings.readers.c3d import extract; extract(*sys.argv[1:])"

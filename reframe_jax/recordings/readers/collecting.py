@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.recordings.readers.lines import trim
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import EPOCH, Rows, check_size, shown
+from reframe_jax.recordings.recording import EPOCH, RecordingError, Rows, check_size, shown
 
 _MISSING = re.compile(
     r"|null|none|na|n/a|-+|\?+|\*+|missing|lost|invalid|occluded|no data|#.*|[-+]?(1\.#.*|nan\(.*\))",

@@ -10,8 +10,7 @@ import numpy as np
 from reframe_jax.recordings.conventions import read_angles
 from reframe_jax.recordings.readers.collecting import matrix_rows
 from reframe_jax.recordings.readers.reader import Entry
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import Rows, listed, shown
+from reframe_jax.recordings.recording import RecordingError, Rows, listed, shown
 from reframe_jax.recordings.selection import Selection, flag
 
 OPTIONS = frozenset({"position", "orientation", "quaternion", "angles", "angle_unit", "unit"})

@@ -10,8 +10,7 @@ import numpy as np
 
 from reframe_jax.recordings.readers.columns import OPTIONS, Column, column_entries, find_columns, set_poses
 from reframe_jax.recordings.readers.reader import Entry, Reader, import_extra, translate_errors
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import Rows, check_size, listed, shown
+from reframe_jax.recordings.recording import RecordingError, Rows, check_size, listed, shown
 from reframe_jax.recordings.selection import Selection, flag
 
 _WHOLE_PARQUET, _WHOLE_HDF5 = "a whole Parquet file", "a whole HDF5 file"

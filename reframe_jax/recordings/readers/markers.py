@@ -9,8 +9,7 @@ import numpy as np
 from reframe_jax.geometry.numpy_rotations import nearest_rotations
 from reframe_jax.recordings.readers.reader import Entry
 from reframe_jax.recordings.readers.units import LENGTH_WORDS
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import Rows, listed, shown
+from reframe_jax.recordings.recording import RecordingError, Rows, listed, shown
 from reframe_jax.recordings.selection import Selection, flag, unit_of
 
 _UNSEEN = "fewer than three markers of the body are seen, or all of them are on a line"

@@ -15,8 +15,7 @@ import numpy as np
 from reframe_jax.recordings.readers.collecting import assume_millimetres, collect
 from reframe_jax.recordings.readers.lines import is_number
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import Rows, shown
+from reframe_jax.recordings.recording import RecordingError, Rows, shown
 from reframe_jax.recordings.selection import Selection
 
 _LONGEST = 2**16  # bytes of a line

@@ -18,8 +18,7 @@ from reframe_jax.recordings.readers.columns import set_poses
 from reframe_jax.recordings.readers.lines import read_cells, trim
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
 from reframe_jax.recordings.readers.units import LENGTH_WORDS
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import Rows, shown
+from reframe_jax.recordings.recording import RecordingError, Rows, shown
 from reframe_jax.recordings.selection import ANGLE_UNITS, ANGLES, Angles, Selection
 
 _ORDERS = [order for order in ANGLES if order.isupper()]

@@ -18,8 +18,7 @@ from reframe_jax.recordings.readers.collecting import assume_millimetres, collec
 from reframe_jax.recordings.readers.lines import Lines, find_delimiter, is_number, read_lines, split
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
 from reframe_jax.recordings.readers.units import LENGTH_WORDS, plain_name, split_unit
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import Rows
+from reframe_jax.recordings.recording import RecordingError, Rows
 from reframe_jax.recordings.selection import Selection
 
 _NUMBERS = ["q0", "qx", "qy", "qz", "tx", "ty", "tz"]

@@ -16,8 +16,7 @@ from reframe_jax.geometry.numpy_rotations import euler_matrices
 from reframe_jax.recordings.readers.collecting import collect, drop_zeros, matrix_rows
 from reframe_jax.recordings.readers.lines import Lines, is_number, read_cells
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import Rows, shown
+from reframe_jax.recordings.recording import RecordingError, Rows, shown
 from reframe_jax.recordings.selection import Selection
 
 _FULL, _ANGLES_ONLY = 16, 7  # columns of a body, with and without the matrix

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import Rows, listed, shown
+from reframe_jax.recordings.recording import RecordingError, Rows, listed, shown
 from reframe_jax.recordings.selection import Selection, flag
 
 

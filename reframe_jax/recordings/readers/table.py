@@ -19,8 +19,7 @@ from reframe_jax.recordings.readers.units import (
     split_unit,
     units_of_row,
 )
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import HEADER, Rows, listed, shown
+from reframe_jax.recordings.recording import HEADER, RecordingError, Rows, listed, shown
 from reframe_jax.recordings.selection import Selection, flag
 
 _COMMENT = "#%"

@@ -24,8 +24,7 @@ from reframe_jax.recordings.readers.lines import (
     trim,
 )
 from reframe_jax.recordings.readers.reader import Reader
-from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import Rows
+from reframe_jax.recordings.recording import RecordingError, Rows
 from reframe_jax.recordings.selection import Selection
 
 # column of the first number of a pose, by the count of numbers in a line; 1 if the time is before the pose
