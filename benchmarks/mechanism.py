@@ -10,8 +10,7 @@ import jax
 import mujoco
 import numpy as np
 
-from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import frame_arrays, locate
+from reframe_jax.constraints.frame import ConstraintFrame, frame_arrays, locate
 from reframe_jax.constraints.types import Dof, LinearType
 from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics

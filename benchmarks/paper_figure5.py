@@ -14,7 +14,7 @@ import reframe_jax as rf
 from benchmarks.charts import plot_bars
 from benchmarks.paper_common import Section, Store, plain, spread, table
 from benchmarks.paper_table4 import SETUPS, Setup
-from reframe_jax.constraints.located import frame_arrays, move_frame
+from reframe_jax.constraints.frame import frame_arrays, move_frame
 from reframe_jax.geometry import rotations
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation import reproduction

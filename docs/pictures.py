@@ -11,7 +11,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 import reframe_jax as rf
 from reframe_jax import plotting
 from reframe_jax.constraints.catalogue import OTHER_CONSTRAINTS
-from reframe_jax.constraints.located import locate_on_host
+from reframe_jax.constraints.frame import locate_on_host
 from reframe_jax.geometry import rotations
 from reframe_jax.joints.chain import JointPart, chain_poses
 from reframe_jax.plotting.style import BODY, FREE, TURNING, axis_colours, new_figure

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax.constraints.located import (
+from reframe_jax.constraints.frame import (
     Frame,
     assemble_frame,
     body_twist,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax.constraints.located import frame_arrays
+from reframe_jax.constraints.frame import frame_arrays
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation import metrics
 from reframe_jax.simulation.arm.demonstration import sampling

@@ -12,7 +12,7 @@ import pytest
 
 import reframe_jax as rf
 from benchmarks.mechanism import mechanism_joints, mechanism_model, weld
-from reframe_jax.constraints.located import frame_arrays, ground_twist, locate, slip, twist_map
+from reframe_jax.constraints.frame import frame_arrays, ground_twist, locate, slip, twist_map
 from reframe_jax.geometry import transforms
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation.arm import demonstration, guide

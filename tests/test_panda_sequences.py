@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax.constraints.located import body_twist, frame_arrays
+from reframe_jax.constraints.frame import body_twist, frame_arrays
 from reframe_jax.simulation import arm as panda
 
 BATCH = 8  # with the usual duration and sample time, the program of test_panda.py

@@ -10,7 +10,7 @@ import pytest
 
 import reframe_jax as rf
 from benchmarks.paper_figure5 import erroneous_frames
-from reframe_jax.constraints.located import frame_arrays, locate
+from reframe_jax.constraints.frame import frame_arrays, locate
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation import reproduction
 

@@ -11,7 +11,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import reframe_jax as rf
-from reframe_jax.constraints.located import frame_arrays, locate, twist_map
+from reframe_jax.constraints.frame import frame_arrays, locate, twist_map
 from reframe_jax.geometry import transforms
 from reframe_jax.simulation import synthetic
 

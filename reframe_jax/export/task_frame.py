@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.catalogue import describe, lookup
-from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import fixed_on_body, locate_on_host
+from reframe_jax.constraints.frame import ConstraintFrame, fixed_on_body, locate_on_host
 from reframe_jax.constraints.types import AxisRelation, distinct_axis, relation_of_cosine
 from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
 from reframe_jax.identification.results import Identification

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.catalogue import describe, lookup
-from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import fixed_on_body
+from reframe_jax.constraints.frame import ConstraintFrame, fixed_on_body
 from reframe_jax.constraints.types import AxisRelation, LinearType, distinct_axis, relation_of_cosine
 from reframe_jax.geometry.numpy_rotations import nearest_rotations
 from reframe_jax.joints.chain import JointPart, ball_hinges, chain_coordinates, chain_poses

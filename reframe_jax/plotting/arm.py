@@ -6,7 +6,7 @@ import jax
 import mujoco
 import numpy as np
 
-from reframe_jax.constraints.located import locate_on_host
+from reframe_jax.constraints.frame import locate_on_host
 from reframe_jax.plotting.scene import draw_frame, draw_legend, segment, set_limits, turning_axes
 from reframe_jax.plotting.style import BODY, CONSTRAINED, FONT, FREE, new_figure
 from reframe_jax.simulation.arm.demonstration import Demonstration

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from reframe_jax.constraints.located import locate_on_host
+from reframe_jax.constraints.frame import locate_on_host
 from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.identification.results import Identification
 from reframe_jax.plotting.style import (

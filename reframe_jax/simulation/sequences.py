@@ -7,8 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import place_frame
+from reframe_jax.constraints.frame import ConstraintFrame, place_frame
 from reframe_jax.geometry import rotations
 from reframe_jax.simulation.motions import PoseErrors, disturb
 from reframe_jax.simulation.synthetic import simulate

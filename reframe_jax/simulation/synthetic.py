@@ -17,8 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.constraints.catalogue import constraint as named
-from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import Frame, body_twist, frame_arrays
+from reframe_jax.constraints.frame import ConstraintFrame, Frame, body_twist, frame_arrays
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import matmul
 from reframe_jax.motion.paths import bracket

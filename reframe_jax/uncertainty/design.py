@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.constraints.located import Frame, body_twist, frame_arrays
+from reframe_jax.constraints.frame import Frame, body_twist, frame_arrays
 from reframe_jax.geometry.transforms import pose_exp
 from reframe_jax.identification.preparation import Prepared
 from reframe_jax.identification.results import Identification

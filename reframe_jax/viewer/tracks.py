@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.constraints.located import locate_on_host
+from reframe_jax.constraints.frame import locate_on_host
 from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.export.table import to_table
 from reframe_jax.identification.results import Identification

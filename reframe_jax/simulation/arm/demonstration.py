@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import index_leaves
-from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import frame_arrays, move_frame, place_frame
+from reframe_jax.constraints.frame import ConstraintFrame, frame_arrays, move_frame, place_frame
 from reframe_jax.geometry import rotations
 from reframe_jax.simulation.arm.guide import (
     EXCITATIONS,

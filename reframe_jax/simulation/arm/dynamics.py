@@ -25,7 +25,7 @@ with contextlib.redirect_stdout(io.StringIO()):  # MJX prints the names of missi
     except ImportError:
         mjx_scan = None
 
-from reframe_jax.constraints.located import multiply
+from reframe_jax.constraints.frame import multiply
 from reframe_jax.simulation.arm.model import PANDA, Arm
 
 

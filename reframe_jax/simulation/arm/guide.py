@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.constraints.located import Frame, ground_twist, locate, multiply, twist_map
+from reframe_jax.constraints.frame import Frame, ground_twist, locate, multiply, twist_map
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
 from reframe_jax.geometry.small import solve_positive

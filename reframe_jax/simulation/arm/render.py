@@ -12,8 +12,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import locate_on_host
+from reframe_jax.constraints.frame import ConstraintFrame, locate_on_host
 from reframe_jax.geometry.transforms import make_pose
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.constraints.located import Frame, Located, locate, multiply, slip, twist_map
+from reframe_jax.constraints.frame import Frame, Located, locate, multiply, slip, twist_map
 from reframe_jax.geometry.small import solve_positive
 from reframe_jax.motion.checks import MessageCode
 from reframe_jax.simulation.arm.dynamics import Motion, arm_motion

@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import Frame, frame_arrays, locate
+from reframe_jax.constraints.frame import ConstraintFrame, Frame, frame_arrays, locate
 from reframe_jax.geometry.products import apply
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.constraints.located import Frame, Located, locate, slip, twist_map
+from reframe_jax.constraints.frame import Frame, Located, locate, slip, twist_map
 from reframe_jax.geometry.products import apply
 from reframe_jax.simulation.arm.dynamics import Motion
 from reframe_jax.simulation.arm.imperfections import by_axis

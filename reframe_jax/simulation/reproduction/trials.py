@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import index_leaves
-from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import Frame, assemble_frame, frame_arrays, locate
+from reframe_jax.constraints.frame import ConstraintFrame, Frame, assemble_frame, frame_arrays, locate
 from reframe_jax.geometry import transforms
 from reframe_jax.geometry.products import apply
 from reframe_jax.identification.results import Identification
