@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from reframe_jax.geometry.small import solve_positive
 from reframe_jax.simulation import arm as panda
-from reframe_jax.simulation.arm import dynamics
+from reframe_jax.simulation.arm import model as models
 
 ARMS = list(panda.ROBOTS.values())
 
@@ -168,7 +168,7 @@ def test_the_fence_is_still_needed(monkeypatch: pytest.MonkeyPatch) -> None:
         return path, time.perf_counter() - start
 
     path, fenced = run()
-    monkeypatch.setattr(dynamics, "mjx_scan", None)
+    monkeypatch.setattr(models, "mjx_scan", None)
     unfenced_path, unfenced = run()
     np.testing.assert_allclose(unfenced_path, path, atol=1e-12)
     assert unfenced > 3 * fenced, f"{unfenced:.4f} s without the fence, {fenced:.4f} s with it"

@@ -31,10 +31,9 @@ from reframe_jax.simulation.arm.demonstration import (
     demonstrate_sequence,
     frame_on_arm,
 )
-from reframe_jax.simulation.arm.dynamics import Motion, arm_motion
 from reframe_jax.simulation.arm.guide import EXCITATIONS
 from reframe_jax.simulation.arm.imperfections import ENCODER_GRADE, MATCHED, REALISTIC, Imperfections
-from reframe_jax.simulation.arm.model import FR3, PANDA, ROBOTS, Arm, forward_kinematics
+from reframe_jax.simulation.arm.model import FR3, PANDA, ROBOTS, Arm, Motion, arm_motion, forward_kinematics
 from reframe_jax.simulation.arm.rollout import RolloutStatus
 
 __all__ = [

@@ -16,9 +16,8 @@ from reframe_jax.constraints.frame import Frame, ground_twist, locate, multiply,
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
 from reframe_jax.geometry.small import solve_positive
-from reframe_jax.simulation.arm.dynamics import Motion, arm_motion
 from reframe_jax.simulation.arm.imperfections import Imperfections, by_axis, compliance_of, measure
-from reframe_jax.simulation.arm.model import Arm, forward_kinematics
+from reframe_jax.simulation.arm.model import Arm, Motion, arm_motion, forward_kinematics
 from reframe_jax.simulation.arm.rollout import Steps, Track, hold, integrate
 from reframe_jax.simulation.synthetic import Excitation
 

@@ -25,8 +25,7 @@ import jax.numpy as jnp
 from reframe_jax.constraints.frame import Frame, Located, locate, multiply, slip, twist_map
 from reframe_jax.geometry.small import solve_positive
 from reframe_jax.motion.checks import MessageCode
-from reframe_jax.simulation.arm.dynamics import Motion, arm_motion
-from reframe_jax.simulation.arm.model import Arm, forward_kinematics
+from reframe_jax.simulation.arm.model import Arm, Motion, arm_motion, forward_kinematics
 
 RELAXATION = 0.03
 """s, time constant with which a constrained axis returns; also the ratio of damping to stiffness."""

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 
 from reframe_jax.constraints.frame import Frame, Located, locate, slip, twist_map
 from reframe_jax.geometry.products import apply
-from reframe_jax.simulation.arm.dynamics import Motion
 from reframe_jax.simulation.arm.imperfections import by_axis
+from reframe_jax.simulation.arm.model import Motion
 
 Pair = tuple[float | jax.Array, float | jax.Array]
 

@@ -17,9 +17,8 @@ from reframe_jax.geometry.products import apply
 from reframe_jax.identification.results import Identification
 from reframe_jax.segmentation.results import Segmentation
 from reframe_jax.simulation.arm.demonstration import sampling
-from reframe_jax.simulation.arm.dynamics import arm_motion
 from reframe_jax.simulation.arm.imperfections import by_axis
-from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
+from reframe_jax.simulation.arm.model import PANDA, Arm, arm_motion, find_arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import AxisLaw, RolloutStatus, hold, integrate, rollout_status
 from reframe_jax.simulation.reproduction.controllers import Controller, constant_wrench, control_drive
 
