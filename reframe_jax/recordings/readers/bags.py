@@ -21,7 +21,6 @@ import numpy as np
 
 from reframe_jax.recordings.checks import drop_unfinished, leave_out_lost, make_poses
 from reframe_jax.recordings.clock import sort_times
-from reframe_jax.recordings.readers.collecting import matrix_rows
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, import_extra, translate_errors
 from reframe_jax.recordings.recording import RecordingError, Rows, check_size, listed, shown
 from reframe_jax.recordings.relative import interpolate_poses, invert_poses, origin_shift
@@ -241,7 +240,7 @@ def _read_chain(path: Path, bag: _Bag, ground: str, body: str) -> Rows:
         poses = poses @ (here if along else invert_poses(here))
     if not known.any():
         raise RecordingError(f"{path}: the moving frames of the chain have no times in common.")
-    values = matrix_rows(poses[:, :3, :3], poses[:, :3, 3])
+    values = poses[:, :3].reshape(-1, 12)
     notes = [note for _, _, rows in chain for note in rows.notes]
     joined = Rows(path, own.word, own.where, values, own.times, own.origin, notes)
     joined.left_out = own.left_out

@@ -18,14 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from reframe_jax.recordings.readers.collecting import drop_zeros
 from reframe_jax.recordings.readers.markers import (
     group_markers,
     marker_entries,
     set_marker_poses,
     unit_of_markers,
 )
-from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, import_extra
+from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, drop_zeros, import_extra
 from reframe_jax.recordings.recording import RecordingError, Rows, check_size, shown
 from reframe_jax.recordings.selection import Selection
 

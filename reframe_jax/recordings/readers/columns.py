@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from reframe_jax.recordings.conventions import read_angles
-from reframe_jax.recordings.readers.collecting import matrix_rows
-from reframe_jax.recordings.readers.reader import Entry
+from reframe_jax.recordings.readers.reader import Entry, matrix_rows
 from reframe_jax.recordings.recording import RecordingError, Rows, listed, shown
 from reframe_jax.recordings.selection import Selection, flag
 

@@ -1,15 +1,22 @@
-"""Divide text files into lines and cells, for all readers of text.
+"""Divide text files into lines and cells, and collect their numbers, for all readers of text.
 
-Texts are UTF-8, or in the encodings of spreadsheets: UTF-16 and Windows-1252. Only one line is in memory.
+Texts are UTF-8, or in the encodings of spreadsheets: UTF-16 and Windows-1252. Only one line is in memory; the
+numbers of a row take 72 bytes.
 """
 
 import codecs
 import csv
+import datetime
+import decimal
+import math
 import re
-from collections.abc import Iterator
+from array import array
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from reframe_jax.recordings.recording import RecordingError
+import numpy as np
+
+from reframe_jax.recordings.recording import EPOCH, RecordingError, Rows, check_size, shown
 
 Lines = Iterator[tuple[int, list[str]]]
 """Numbers and cells of lines."""
@@ -18,6 +25,13 @@ _LONGEST = 2**16  # characters of a line, and bytes that show the encoding
 _SEPARATOR = "sep="  # start of the first line in some files of spreadsheets
 _CONTROLS = bytes(range(9)) + b"\x0e\x0f\x7f"  # not in texts
 _DECIMAL_COMMA = re.compile(r"[-+]?(\d+|\d*,\d+)(e[-+]?\d+)?", re.IGNORECASE)
+_MISSING = re.compile(
+    r"|null|none|na|n/a|-+|\?+|\*+|missing|lost|invalid|occluded|no data|#.*|[-+]?(1\.#.*|nan\(.*\))",
+    re.IGNORECASE,
+)
+_CLOCK = re.compile(r"(\d+):([0-5]\d):([0-5]\d(?:\.\d+)?)")  # hours, minutes, seconds
+# enough digits for nanoseconds since 1970; cells that are no numbers become NaN, without exceptions
+_EXACT = decimal.Context(prec=50, traps=[])
 
 
 def read_lines(path: Path, blanks: str | None = None) -> Iterator[tuple[int, str]]:
@@ -130,3 +144,97 @@ def is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def collect(
+    path: Path,
+    lines: Iterable[tuple[int, list[str]]],
+    width: int,
+    columns: Sequence[int],
+    time: int | tuple[int, int] | None = None,
+    wrench: Sequence[int] = (),
+    short: bool = False,
+) -> Rows:
+    """Collect the numbers in some columns of a table; NaN for empty cells.
+
+    If the first time is later than 1e6 s, times count from it. They are subtracted as decimal numbers,
+    because floats resolve the time since 1970 only to 0.2 us. Cells that are no numbers are refused.
+
+    Args:
+        path: the file.
+        lines: line number and cells of every line; empty cells beyond the width are ignored.
+        width: count of cells in a row; rows with another count are refused.
+        columns: indices of the columns.
+        time: index of the column of times, or of the columns of seconds and of nanoseconds.
+        wrench: indices of the columns of a measured wrench, which is kept apart from the poses.
+        short: whether rows may have fewer cells than ``width``; the missing ones are empty.
+    """
+    where, values, times, every = array("q"), array("d"), array("d"), [*columns, *wrench]
+    origin: decimal.Decimal | None = None
+    for number, cells in lines:
+        if short:
+            cells = cells + [""] * (width - len(cells))
+        cells = trim(cells, width)
+        if len(cells) != width:
+            remedy = "delete the line if the recording ended there"
+            if len(cells) > width:
+                remedy = "if numbers have decimal commas, separate the columns by semicolons"
+            raise RecordingError(
+                f"{path}: line {number}: expected {width} columns, found {len(cells)}; {remedy}."
+            )
+        where.append(number)
+        check_size(path, len(where))
+        try:
+            values.extend([float(cells[column]) for column in every])
+        except ValueError:
+            values.extend([_number(path, number, cells[column]) for column in every])
+        if time is not None:
+            cell = _stamp(cells, time)
+            seconds = _number(path, number, cell)
+            if math.isfinite(seconds) and (origin or origin is None):
+                exact = _EXACT.create_decimal(cell.replace("_", ""))  # with all digits
+                if origin is None:
+                    origin = decimal.Decimal(0) if abs(seconds) < EPOCH else exact
+                seconds = float(_EXACT.subtract(exact, origin)) if origin else seconds
+            times.append(seconds)
+    numbers = np.asarray(values).reshape(-1, len(every))
+    return Rows(
+        path,
+        "line",
+        np.asarray(where),
+        numbers[:, : len(columns)],
+        None if time is None else np.asarray(times),
+        str(origin) if origin else None,
+        wrenches=numbers[:, len(columns) :] if wrench else None,
+        seconds=1.0 if isinstance(time, tuple) else None,
+    )
+
+
+def _number(path: Path, number: int, cell: str) -> float:
+    """Convert a cell to a number; NaN if the number is missing."""
+    try:
+        return float("nan" if _MISSING.fullmatch(cell) else cell)
+    except ValueError:
+        date = re.search(r"\d[-:/.]\d+[-:/.]\d", cell)
+        hint = "; write times in seconds, or as 2024-05-01 10:00:00.250" if date else ""
+        problem = f"expected numbers: found '{shown(cell, 40)}'{hint}."
+        raise RecordingError(f"{path}: line {number}: {problem}") from None
+
+
+def _stamp(cells: list[str], time: int | tuple[int, int]) -> str:
+    """Return a time in seconds, as text; for a date, the seconds since 1970 (UTC by default)."""
+    if isinstance(time, tuple):
+        seconds, nanoseconds = (cells[column] for column in time)
+        return f"{seconds}.{nanoseconds.zfill(9)}" if seconds.isdecimal() else ""
+    cell = cells[time]
+    if ":" not in cell:
+        return cell
+    if match := _CLOCK.fullmatch(cell):
+        return str(3600 * int(match[1]) + 60 * int(match[2]) + decimal.Decimal(match[3]))
+    try:
+        moment = datetime.datetime.fromisoformat(cell)
+    except ValueError:
+        return cell
+    moment = moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
+    since = moment - datetime.datetime.fromtimestamp(0, datetime.UTC)
+    return f"{since.days * 86400 + since.seconds}.{since.microseconds:06d}"

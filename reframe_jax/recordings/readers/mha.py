@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.readers.collecting import assume_millimetres, collect
-from reframe_jax.recordings.readers.lines import is_number
-from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
+from reframe_jax.recordings.readers.lines import collect, is_number
+from reframe_jax.recordings.readers.reader import Entry, Reader, assume_millimetres, choose_name
 from reframe_jax.recordings.recording import RecordingError, Rows, shown
 from reframe_jax.recordings.selection import Selection
 

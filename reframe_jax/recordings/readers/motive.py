@@ -13,9 +13,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import cast
 
-from reframe_jax.recordings.readers.collecting import collect
 from reframe_jax.recordings.readers.columns import set_poses
-from reframe_jax.recordings.readers.lines import read_cells, trim
+from reframe_jax.recordings.readers.lines import collect, read_cells, trim
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
 from reframe_jax.recordings.readers.units import LENGTH_WORDS
 from reframe_jax.recordings.recording import RecordingError, Rows, shown

@@ -14,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.readers.collecting import assume_millimetres, collect
-from reframe_jax.recordings.readers.lines import Lines, find_delimiter, is_number, read_lines, split
-from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
+from reframe_jax.recordings.readers.lines import Lines, collect, find_delimiter, is_number, read_lines, split
+from reframe_jax.recordings.readers.reader import Entry, Reader, assume_millimetres, choose_name
 from reframe_jax.recordings.readers.units import LENGTH_WORDS, plain_name, split_unit
 from reframe_jax.recordings.recording import RecordingError, Rows
 from reframe_jax.recordings.selection import Selection

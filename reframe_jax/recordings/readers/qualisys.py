@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import euler_matrices
-from reframe_jax.recordings.readers.collecting import collect, drop_zeros, matrix_rows
-from reframe_jax.recordings.readers.lines import Lines, is_number, read_cells
-from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
+from reframe_jax.recordings.readers.lines import Lines, collect, is_number, read_cells
+from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, drop_zeros, matrix_rows
 from reframe_jax.recordings.recording import RecordingError, Rows, shown
 from reframe_jax.recordings.selection import Selection
 

@@ -7,8 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
+
 from reframe_jax.recordings.recording import RecordingError, Rows, listed, shown
 from reframe_jax.recordings.selection import Selection, flag
+
+_NEAREST = 3.0  # no body is measured within 3 mm of a tracker, and few beyond 3 m
 
 
 @dataclass(frozen=True)
@@ -87,3 +91,27 @@ def choose_name(path: Path, option: str, wanted: str | None, names: Sequence[str
     if len(names) > 1:
         raise RecordingError(f"{path}: has several {what}; name one, {flag(option)}: {listed(names)}.")
     return names[0]
+
+
+def drop_zeros(rows: Rows, values: np.ndarray) -> None:
+    """Leave out the rows in which all values (N, M) are 0, which mark a body that was not seen."""
+    rows.keep(~(values == 0).all(axis=1), "all numbers are 0, as the body was not seen", "untracked")
+
+
+def assume_millimetres(rows: Rows, writer: str) -> None:
+    """Set the unit to mm, which ``writer`` usually writes, or to m for small positions, with a note."""
+    distance = np.linalg.norm(rows.positions, axis=1)
+    distance = distance[np.isfinite(distance)]
+    near = len(distance) > 0 and bool(np.median(distance) < _NEAREST)
+    rows.metres = 1.0 if near else 1e-3
+    rows.notes.append(
+        f"positions are read in m, because in mm they would be less than {_NEAREST:g} mm from the origin; if "
+        "they are in mm, give unit='mm' (--unit mm)."
+        if near
+        else f"positions are read in mm, as {writer} writes them."
+    )
+
+
+def matrix_rows(matrices: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Join R (N, 3, 3) and p (N, 3) to the values (N, 12) of :class:`Rows`: [R p], row by row."""
+    return np.concatenate([matrices, positions[..., None]], axis=-1).reshape(-1, 12)

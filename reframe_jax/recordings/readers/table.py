@@ -7,9 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.readers.collecting import collect
 from reframe_jax.recordings.readers.columns import OPTIONS, find_columns, set_poses
-from reframe_jax.recordings.readers.lines import Lines, find_delimiter, is_number, read_lines, split, trim
+from reframe_jax.recordings.readers.lines import (
+    Lines,
+    collect,
+    find_delimiter,
+    is_number,
+    read_lines,
+    split,
+    trim,
+)
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.readers.units import (
     ANGLE_WORDS,

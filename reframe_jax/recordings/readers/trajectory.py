@@ -13,8 +13,8 @@ import re
 from itertools import chain
 from pathlib import Path
 
-from reframe_jax.recordings.readers.collecting import collect
 from reframe_jax.recordings.readers.lines import (
+    collect,
     find_delimiter,
     first_numbers,
     is_number,

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.readers.collecting import collect
-from reframe_jax.recordings.readers.lines import Lines, find_delimiter, is_number, read_lines, split
+from reframe_jax.recordings.readers.lines import Lines, collect, find_delimiter, is_number, read_lines, split
 from reframe_jax.recordings.readers.markers import marker_entries, set_marker_poses
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.recording import RecordingError, Rows

@@ -12,10 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.readers.collecting import collect, drop_zeros
 from reframe_jax.recordings.readers.columns import set_poses
-from reframe_jax.recordings.readers.lines import Lines, is_number, read_cells
-from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
+from reframe_jax.recordings.readers.lines import Lines, collect, is_number, read_cells
+from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, drop_zeros
 from reframe_jax.recordings.recording import RecordingError, Rows, listed, shown
 from reframe_jax.recordings.selection import ANGLE_UNITS, UNITS, Selection, flag
 
