@@ -7,7 +7,6 @@ from typing import Literal, get_args
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import index_leaves
@@ -15,18 +14,8 @@ from reframe_jax.geometry import rotations
 from reframe_jax.identification.options import Scales
 from reframe_jax.identification.preparation import Prepared
 from reframe_jax.identification.results import Identification, Index
-from reframe_jax.uncertainty.refit import (
-    BLOCKS,
-    EACH_PART,
-    HALVES,
-    LENGTHS,
-    THIRDS,
-    Refit,
-    Windows,
-    over_windows,
-    refit_windows,
-)
-from reframe_jax.uncertainty.spread import blocks, parts_with_prior, spread_of_fit, student_variance, widen
+from reframe_jax.uncertainty.refit import Windows, over_windows, refit_windows
+from reframe_jax.uncertainty.spread import combine_parts
 
 Errors = Literal["measured", "white"]
 """Whether disagreement between parts of the recording widens a covariance, or errors count as white."""
@@ -34,8 +23,6 @@ Errors = Literal["measured", "white"]
 Method = Literal["derivative", "bootstrap"]
 """Covariance from the curvature of the fit, or from fits that leave out a part of the recording."""
 
-_FEWEST = 8  # fewest poses of a part
-_SET = np.repeat(range(3), (1, len(HALVES), len(THIRDS)))  # of each pair: redundant axes, halves, thirds
 _LARGE_TURN = 0.2  # rad, largest standard deviation of a first-order covariance
 _LARGE_SHIFT = 0.25  # largest standard deviation of the origin, as a fraction of half the search box
 
@@ -180,7 +167,7 @@ def _window_covariances(
     window: Prepared, windows: Windows, *, scales: tuple[int, ...] | None, parts: str
 ) -> Covariance:
     refit = refit_windows(window, windows, scales, parts)
-    matrix, inflation = jax.vmap(partial(_combine_parts, parts=parts))(refit)
+    matrix, inflation = jax.vmap(partial(combine_parts, parts=parts))(refit)
     angles = jnp.sqrt(jnp.diagonal(matrix, axis1=1, axis2=2))
     small = jnp.max(angles[:, :6], axis=1) < _LARGE_TURN
     near = jnp.max(angles[:, 6:], axis=1) < _LARGE_SHIFT * window.box
@@ -189,25 +176,3 @@ def _window_covariances(
     failed = (window.status >= 10) | ~known
     matrix = jnp.where(failed[:, None, None], jnp.nan, matrix)
     return Covariance(matrix, jnp.where(failed[:, None], jnp.nan, inflation), small & near & ~failed)
-
-
-def _combine_parts(refit: Refit, *, parts: str) -> tuple[jax.Array, jax.Array]:
-    """Covariance of one window and its inflation, from the fits of its parts."""
-    if parts == "blocks":  # the jackknife
-        rest = refit.numbers[1:] - jnp.mean(refit.numbers[1:], axis=0)
-        matrix = rest.T @ rest * (BLOCKS - 1) / BLOCKS * student_variance(jnp.asarray(BLOCKS - 1.0))
-        return matrix, jnp.ones(3, matrix.dtype)
-    own, redundant, white = jax.vmap(spread_of_fit, in_axes=(EACH_PART,))(refit)
-    matrix = own[0]
-    if parts == "whole":
-        return matrix, jnp.ones(3, matrix.dtype)
-    # widen by the differences of redundant axes, halves and thirds
-    estimates, covariances = parts_with_prior(refit, own, LENGTHS)
-    i, j = np.concatenate([HALVES, THIRDS]).T
-    long = [jnp.all(refit.poses[np.ravel(pairs)] >= _FEWEST) for pairs in (HALVES, THIRDS)]
-    used = jnp.stack([jnp.asarray(True), *long])[_SET][:, None, None]
-    apart = jnp.concatenate([redundant[0].reshape(1, 3, 3), estimates[i] - estimates[j]])
-    chance = jnp.concatenate([blocks(white[0])[None], covariances[i] + covariances[j]])
-    widened = widen(matrix, jnp.where(used, apart, 0), jnp.where(used[..., None], chance, 0), _SET)
-    sizes = [jnp.diagonal(of).reshape(3, 3).sum(axis=1) for of in (widened, matrix)]
-    return widened, jnp.where(sizes[1] > 0, jnp.sqrt(sizes[0] / sizes[1]), 1)

@@ -6,12 +6,14 @@ import numpy as np
 
 from reframe_jax.calibration.robust import NORMAL_FACTOR, student_factor
 from reframe_jax.model.fit import Data, coordinates, held_covariance, move
-from reframe_jax.uncertainty.refit import Refit
+from reframe_jax.uncertainty.refit import BLOCKS, EACH_PART, HALVES, LENGTHS, THIRDS, Refit
 
 Array = jax.Array
 
 _GROUPS = slice(0, 3), slice(3, 6), slice(6, 9)  # angular axes, linear axes, origin
 _FEWEST = 2.0  # fewest degrees of freedom of Student's distribution
+_FEWEST_POSES = 8  # of a part
+_SET = np.repeat(range(3), (1, len(HALVES), len(THIRDS)))  # of each pair: redundant axes, halves, thirds
 _KNOWN = 1e-9  # fraction of the largest variance below which a variance counts as zero
 # mean squared distances (1 by chance) up to which no difference is added, and from which all of it is
 _CHANCE, _SIGNIFICANT = 3.0, 4.0
@@ -47,7 +49,7 @@ def information(fit: Refit, precision: Array, motion: Data) -> tuple[Array, Arra
     return found[..., :9, :9], found[..., :9, 9]
 
 
-def posterior(total: Array, prior: Array) -> Array:
+def _posterior(total: Array, prior: Array) -> Array:
     """Covariance (9, 9) of parameters from their information (9, 9) and prior standard deviations (9,)."""
     precision = total + jnp.diag(1 / jnp.square(prior))
     unit = 1 / jnp.sqrt(jnp.diagonal(precision))
@@ -64,17 +66,39 @@ def covariances_of_motions(fit: Refit, products: Array, details: Array, known: A
     def of_one(products: Array, details: Array) -> Array:
         motion = fit.data._replace(products=products, details=details)
         total = known + jnp.sum(information(fit, precision, motion)[0], axis=(0, 1))
-        return fit.slopes @ posterior(total, fit.prior) @ fit.slopes.T
+        return fit.slopes @ _posterior(total, fit.prior) @ fit.slopes.T
 
     return jax.vmap(of_one)(products, details)
 
 
-def student_variance(freedom: Array) -> Array:
+def combine_parts(refit: Refit, *, parts: str) -> tuple[Array, Array]:
+    """Covariance (9, 9) of one window, and its inflation (3,), from the fits of its parts."""
+    if parts == "blocks":  # the jackknife
+        rest = refit.numbers[1:] - jnp.mean(refit.numbers[1:], axis=0)
+        matrix = rest.T @ rest * (BLOCKS - 1) / BLOCKS * _student_variance(jnp.asarray(BLOCKS - 1.0))
+        return matrix, jnp.ones(3, matrix.dtype)
+    own, redundant, white = jax.vmap(_spread_of_fit, in_axes=(EACH_PART,))(refit)
+    matrix = own[0]
+    if parts == "whole":
+        return matrix, jnp.ones(3, matrix.dtype)
+    # widen by the differences of redundant axes, halves and thirds
+    estimates, covariances = _parts_with_prior(refit, own)
+    i, j = np.concatenate([HALVES, THIRDS]).T
+    long = [jnp.all(refit.poses[np.ravel(pairs)] >= _FEWEST_POSES) for pairs in (HALVES, THIRDS)]
+    used = jnp.stack([jnp.asarray(True), *long])[_SET][:, None, None]
+    apart = jnp.concatenate([redundant[0].reshape(1, 3, 3), estimates[i] - estimates[j]])
+    chance = jnp.concatenate([_blocks(white[0])[None], covariances[i] + covariances[j]])
+    widened = widen(matrix, jnp.where(used, apart, 0), jnp.where(used[..., None], chance, 0), _SET)
+    sizes = [jnp.diagonal(of).reshape(3, 3).sum(axis=1) for of in (widened, matrix)]
+    return widened, jnp.where(sizes[1] > 0, jnp.sqrt(sizes[0] / sizes[1]), 1)
+
+
+def _student_variance(freedom: Array) -> Array:
     """Variance of the normal distribution with the same 95 % interval as Student's distribution."""
     return jnp.square(student_factor(freedom) / NORMAL_FACTOR)
 
 
-def spread_of_fit(fit: Refit) -> tuple[Array, Array, Array]:
+def _spread_of_fit(fit: Refit) -> tuple[Array, Array, Array]:
     """Covariance of the nine components of one part, and the difference between two estimates of the axes.
 
     The variances of constrained coordinates are estimates from the independent values of each scale. The
@@ -90,7 +114,7 @@ def spread_of_fit(fit: Refit) -> tuple[Array, Array, Array]:
     parameters, data, _, slopes, _, entry, prior = fit
     each, gradient = information(fit, row_precision(fit), data)
     by_kind = jnp.sum(each, axis=0)
-    total, rotations, translations = jax.vmap(posterior, in_axes=(0, None))(
+    total, rotations, translations = jax.vmap(_posterior, in_axes=(0, None))(
         jnp.concatenate([jnp.sum(by_kind, axis=0)[None], by_kind]), prior
     )
     influence = total @ slopes.T
@@ -101,7 +125,7 @@ def spread_of_fit(fit: Refit) -> tuple[Array, Array, Array]:
     part = part / (jnp.sum(part, axis=(1, 2), keepdims=True) + tiny)
     number = 1 / (jnp.sum(jnp.square(part) / jnp.maximum(data.details, 0.5)[:, None], axis=(1, 2)) + 1e-6)
     freedom = jnp.maximum(number - 1, _FEWEST)
-    factor = jnp.repeat(jnp.sqrt(student_variance(freedom) * jnp.maximum(number / freedom, 1)), 3)
+    factor = jnp.repeat(jnp.sqrt(_student_variance(freedom) * jnp.maximum(number / freedom, 1)), 3)
     score = jnp.sum(gradient, axis=0)
     step = jnp.where(
         entry.tied,
@@ -114,26 +138,25 @@ def spread_of_fit(fit: Refit) -> tuple[Array, Array, Array]:
     return covariance, slopes @ step, slopes @ chance @ slopes.T
 
 
-def parts_with_prior(refit: Refit, own: Array, lengths: np.ndarray) -> tuple[Array, Array]:
+def _parts_with_prior(refit: Refit, own: Array) -> tuple[Array, Array]:
     """Estimates of parts, with the estimate of the whole window as a weak prior.
 
     A part that hardly moves has an arbitrary estimate, and the curvature of its fit is misleading. The weight
     of the prior follows from the motion of the part, with the errors of the whole window. A direction that
     the part does not determine keeps the estimate of the whole window.
 
-    ``own`` (M, 9, 9) are the covariances of the components from the curvature of each fit, ``lengths`` (M,)
-    the lengths of the parts, as fractions of the window. The result is the components (M, 3, 3) of the
-    estimates, by group, and their covariances (M, 3, 3, 3) for white errors: the mean of the covariances from
-    the errors of the part and of the whole window.
+    ``own`` (M, 9, 9) are the covariances of the components from the curvature of each fit. The result is the
+    components (M, 3, 3) of the estimates, by group, and their covariances (M, 3, 3, 3) for white errors: the
+    mean of the covariances from the errors of the part and of the whole window.
     """
     data = refit.data
     moved = covariances_of_motions(refit.of_whole(), data.products, data.details)
-    moved = jax.vmap(blocks)(moved)
-    values, axes, known = _principal(moved[0] + _PRIOR * lengths[:, None, None, None] * moved)
+    moved = jax.vmap(_blocks)(moved)
+    values, axes, known = _principal(moved[0] + _PRIOR * LENGTHS[:, None, None, None] * moved)
     inverse = jnp.where(known, 1 / jnp.where(known, values, 1), 0)
     weight = (1 + _PRIOR) * moved[0] @ jnp.einsum("mgij,mgj,mgkj->mgik", axes, inverse, axes)
     estimates = jnp.einsum("mgij,mgj->mgi", weight, refit.numbers.reshape(-1, 3, 3))
-    white = (moved + jax.vmap(blocks)(own)) / 2
+    white = (moved + jax.vmap(_blocks)(own)) / 2
     return estimates, weight @ white @ jnp.swapaxes(weight, 2, 3)
 
 
@@ -163,12 +186,12 @@ def widen(covariance: Array, apart: Array, chance: Array, sets: np.ndarray) -> A
     widened = covariance * jnp.maximum(1, jnp.max(factor))
     variance = counted * jnp.sum(jnp.square(apart), axis=2) / NORMAL_FACTOR**2
     between = jnp.max(variance[sets > 0], axis=0) + jnp.max(variance[sets == 0], axis=0)
-    _, axes, known = _principal(blocks(covariance))
+    _, axes, known = _principal(_blocks(covariance))
     added = jnp.einsum("g,gij,gj,gkj->gik", between, axes, known, axes)
     return widened + jax.scipy.linalg.block_diag(*added)
 
 
-def blocks(covariance: Array) -> Array:
+def _blocks(covariance: Array) -> Array:
     """Covariances (3, 3, 3) of the three groups of components."""
     return jnp.stack([covariance[rows, rows] for rows in _GROUPS])
 
