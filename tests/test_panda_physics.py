@@ -67,7 +67,7 @@ def test_hand_pulls_beside_the_place_and_shakes(monkeypatch: pytest.MonkeyPatch)
     def wrenches() -> np.ndarray:
         def felt(key: jax.Array) -> jax.Array:
             drive = guide_drive(key, frame, lambda t: (0 * t * jnp.ones(3),) * 2, 0.01)
-            return jax.vmap(lambda t: drive(pose, t, still, None)[1])(times)
+            return jax.vmap(lambda t: drive(pose, t, still)[1])(times)
 
         return np.asarray(jax.jit(jax.vmap(felt))(jax.random.split(KEY, 400)))
 
@@ -106,9 +106,10 @@ def test_wrench_returns_and_energy_is_kept() -> None:
     start = jnp.asarray(panda.PANDA.home)
     step, count = 0.001, 500
 
-    def drive(wrench: jax.Array, t: jax.Array, motion: Any, located: Any) -> tuple[jax.Array, jax.Array]:
+    def drive(wrench: jax.Array, t: jax.Array, motion: Any) -> tuple[jax.Array, jax.Array]:
         rise = jnp.minimum(t / 0.3, 1)
-        return wrench, motion.jacobian.T @ (twist_map(located).T @ (rise * wrench))
+        there = locate(frame, motion.rotation, motion.position)
+        return wrench, motion.jacobian.T @ (twist_map(there).T @ (rise * wrench))
 
     @jax.jit
     @jax.vmap
@@ -152,7 +153,7 @@ def test_mechanism_and_exact_form_agree(label: str, monkeypatch: pytest.MonkeyPa
 
     @jax.jit
     def advance(pose: jax.Array, t: float, joints: jax.Array, velocity: jax.Array) -> Any:
-        return drive(pose, t, panda.arm_motion(joints, velocity), None)
+        return drive(pose, t, panda.arm_motion(joints, velocity))
 
     model = mechanism_model(panda.PANDA, mechanism_joints(truth), step)
     data = weld(model, truth, home, panda.PANDA)

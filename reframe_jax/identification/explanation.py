@@ -55,27 +55,22 @@ class Spread(Protocol):
     @property
     def angular_axes(self) -> Any:
         """(3, 3) rad^2."""
-        ...
 
     @property
     def linear_axes(self) -> Any:
         """(3, 3) rad^2."""
-        ...
 
     @property
     def position(self) -> Any:
         """(3, 3) m^2, covariance of the origin."""
-        ...
 
     @property
     def inflation(self) -> Any:
         """(3,) factors by which slow errors increase the standard deviations."""
-        ...
 
     @property
     def first_order(self) -> Any:
         """Whether the noise is small enough for error bars."""
-        ...
 
 
 class Tested(Protocol):
@@ -84,17 +79,14 @@ class Tested(Protocol):
     @property
     def free(self) -> Any:
         """Number of free axes."""
-        ...
 
     @property
     def motions(self) -> Any:
         """Number of independent motions."""
-        ...
 
     @property
     def steady(self) -> Any:
         """Whether a velocity was constant throughout."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -154,7 +146,7 @@ def explain_finding(finding: Finding, spread: Spread | None, tested: Tested | No
     if spread is not None and where and not bool(spread.first_order):
         where[-1] += " The noise is high; the true error may exceed this interval."
     lines += [*_held(finding), *where]
-    open_questions = _still_open(finding, spread, tested)
+    open_questions = _still_open(finding, tested)
     return "\n".join([*lines, *open_questions])
 
 
@@ -245,7 +237,7 @@ def _direction(finding: Finding, spread: Spread | None) -> str:
     return line
 
 
-def _still_open(finding: Finding, spread: Spread | None, tested: Tested | None) -> list[str]:
+def _still_open(finding: Finding, tested: Tested | None) -> list[str]:
     """State what the motion does not determine, and which motion to record; at most two lines."""
     doubts, advice, path = [], [], ""
     turns, slides = int(finding.angular_dof.sum()), int(finding.linear_dof.sum())

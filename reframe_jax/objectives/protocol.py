@@ -20,17 +20,14 @@ class Objective(Protocol):
     @property
     def dim(self) -> int:
         """Number of unknowns per problem."""
-        ...
 
     @property
     def batch(self) -> tuple[int, ...]:
         """Shape of the batch of problems; () for a single problem."""
-        ...
 
     @property
     def dtype(self) -> np.dtype:
         """Dtype of the unknowns and the values."""
-        ...
 
     def value(self, x: jax.Array) -> jax.Array:
         """Return the values (...) at unknowns (dim, ...); infinite or NaN where the function is undefined.
@@ -38,7 +35,6 @@ class Objective(Protocol):
         For a positive quantity such as a norm, return its logarithm: solvers compare differences of values
         with fixed limits (the temperature and the tolerance of :class:`BasinHopping`).
         """
-        ...
 
 
 @runtime_checkable
@@ -52,17 +48,14 @@ class MomentsObjective(Objective, Protocol):
     @property
     def moments(self) -> jax.Array:
         """Coefficients (6, 10, ...) of the velocity covariance, or (6, 1, ...) for angular velocities."""
-        ...
 
     @property
     def exponent(self) -> float:
         """Exponent of the power mean over the axes."""
-        ...
 
     @property
     def unknowns(self) -> Literal["frame", "position"]:
         """What the solver varies: "frame" (orientation and origin) or "position" (origin, best axes)."""
-        ...
 
 
 def check_objective(objective: Any) -> None:

@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from reframe_jax.constraints.frame import locate_on_host
+from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.export.common import format_probability
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.frames import AngularFrame, LinearFrame
@@ -14,12 +16,13 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.identification.velocities import frame_velocities
 from reframe_jax.joints.joint import two_digits
 from reframe_jax.motion.kinematics import Discretization
-from reframe_jax.plotting.scene import draw_space
-from reframe_jax.plotting.style import FONT, LEGEND_ABOVE, NOT_READ, OUTLIERS, axis_colours, new_figure
+from reframe_jax.plotting.scene import draw_frame, draw_legend, scene_size, segment, set_limits, turning_axes
+from reframe_jax.plotting.style import BODY, FONT, LEGEND_ABOVE, NOT_READ, OUTLIERS, axis_colours, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 
 def plot_identification(
@@ -69,7 +72,7 @@ def plot_identification(
     velocities = frame_velocities(jnp.asarray(poses), steps, found, discretization)
     angular, linear = jax.device_get(velocities)
     figure.suptitle(host.name if title is None else title, fontsize=15)
-    draw_space(figure.add_axes((-0.02, 0.06, 0.5, 0.74), projection="3d"), poses, host)
+    _draw_space(figure.add_axes((-0.02, 0.06, 0.5, 0.74), projection="3d"), poses, host)
     middle = (times[1:] + times[:-1]) / 2
     limits = (None, None) if thresholds is None else (float(thresholds.linear), float(thresholds.angular))
     left, width = 0.62, 0.36
@@ -90,6 +93,42 @@ def plot_identification(
     bottom.set_ylabel(f"angular velocity,\n{host.angular.frame_type} [rad/s]", fontsize=FONT)
     bottom.set_xlabel("time [s]", fontsize=FONT)
     return figure
+
+
+def _draw_space(axes: "Axes3D", poses: np.ndarray, found: Identification) -> None:
+    """Draw path and axes of the body, the frame, a legend, and the outliers inside the picture.
+
+    A frame that is fixed in the ground is drawn once, others at the first, middle and last pose. An origin
+    that is fixed in the body has a dotted path, and a line from the body.
+    """
+    counted = np.asarray(found.counted)
+    out, poses = poses[~counted, :3, 3], poses[counted]
+    path, last = poses[:, :3, 3], len(poses) - 1
+    located: Any = locate_on_host(found.constraint_frame, poses)
+    origins = path + located.lever
+    kind, points = found.linear.frame_type, np.concatenate([path, origins])
+    length = 0.22 * scene_size(points)
+    axes.plot(*path.T, color=BODY, linewidth=1.2, label="path and axes of the body")
+    shown = [(len(poses) // 2, 1.0)]
+    if kind != LinearType.GG:
+        shown = [(0, 0.35), (len(poses) // 2, 0.6), (last, 1.0)]  # palest first
+    if kind.position_body == AngularType.B:
+        axes.plot(*origins.T, ":", color="black", linewidth=1.0, label="path of the frame's origin")
+        for sample, _ in shown:
+            segment(axes, path[sample], origins[sample], color=BODY, linewidth=2.2, alpha=0.45)
+    for pose in poses[np.linspace(0, last, 5).astype(int)]:
+        for axis in pose[:3, :3].T:
+            segment(axes, pose[:3, 3], pose[:3, 3] + 0.4 * length * axis, color=BODY, linewidth=0.8)
+    turns = turning_axes(found.angular.dof)
+    for sample, alpha in shown:
+        triad, turning = located.linear_axes[sample], located.angular_axes[sample].T[turns]
+        draw_frame(axes, origins[sample], length * triad, length * turning, found.linear.dof, alpha)
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    near = out[(np.abs(out - centre) < scene_size(points) / 2).all(axis=1)]
+    if len(out):
+        axes.plot(*near.T, linestyle="none", **OUTLIERS)
+    draw_legend(axes, kind, found.linear.dof, bool(turns.any()))
+    set_limits(axes, points)
 
 
 def _draw_amplitudes(axes: "Axes", frame: AngularFrame | LinearFrame, motion: str, unit: str) -> None:

@@ -68,7 +68,7 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> tuple[n
     The result is the poses (M, 4, 4) of the remaining rows, and whether they are separate touches in any
     order. Positions that are too far apart for a body in the unit of the file are refused.
     """
-    kept = _near(rows, poses[:, :3, 3])
+    kept = _near(poses[:, :3, 3])
     hint = "; if the unit is wrong, give unit (--unit)" if rows.metres is None else ""
     why = f"more than {_DISTANT:g} m and {_APART:g} times farther away than all other positions{hint}"
     rows.keep(kept, why, "far")
@@ -104,7 +104,7 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> tuple[n
     return poses, unordered
 
 
-def _near(rows: Rows, positions: np.ndarray) -> np.ndarray:
+def _near(positions: np.ndarray) -> np.ndarray:
     """Mask (N,) of rows; False for a few rows that are much more distant than all others."""
     distance = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
     ranked = np.sort(distance)

@@ -89,7 +89,6 @@ class Solver(Protocol):
             box: bounds of the search.
             key: JAX random key.
         """
-        ...
 
 
 def repeat_problems(tree: _T, axes: int, count: int) -> _T:

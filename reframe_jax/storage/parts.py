@@ -131,7 +131,11 @@ class Run:
             ValueError: if the first part is damaged or was made with other options.
             OSError: if the folder does not exist and cannot be created.
         """
-        check_place(self.folder)
+        if not self.folder.exists():  # before a long computation
+            place = next(parent for parent in self.folder.absolute().parents if parent.exists())
+            reason = errno.EACCES if place.is_dir() else errno.ENOTDIR
+            if reason == errno.ENOTDIR or not os.access(place, os.W_OK | os.X_OK):
+                raise OSError(reason, os.strerror(reason), str(self.folder))
         remove_leftovers(self.folder)
         for file in list(self.parts.values())[:1]:
             read_part(file, self._codec, self.options)
@@ -168,16 +172,6 @@ def write_whole(file: Path, write: Callable[[Path], Any]) -> None:
         os.replace(temporary, file)
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def check_place(folder: Path) -> None:
-    """Raise an OSError if a missing folder cannot be created, before a long computation."""
-    if folder.exists():
-        return
-    place = next(parent for parent in folder.absolute().parents if parent.exists())
-    reason = errno.EACCES if place.is_dir() else errno.ENOTDIR
-    if reason == errno.ENOTDIR or not os.access(place, os.W_OK | os.X_OK):
-        raise OSError(reason, os.strerror(reason), str(folder))
 
 
 def remove_leftovers(folder: Path) -> None:

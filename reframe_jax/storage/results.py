@@ -139,13 +139,12 @@ def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Iden
     loaded = [run.read(number) for number in wanted]
     columns: dict[str, Any] = {name: np.concatenate([part[name] for part in loaded]) for name in loaded[0]}
     try:
-        found: Identification = _build(Identification, "", columns)
+        return _build(Identification, "", columns)
     except KeyError as error:
         raise ValueError(
             f"{folder} contains results of another version of reframe_jax (without {error}): identify the "
             "windows again, in another folder."
         ) from error
-    return found
 
 
 def _build(kind: Any, prefix: str, columns: dict[str, Any]) -> Any:

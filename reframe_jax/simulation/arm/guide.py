@@ -7,7 +7,6 @@ on the time step of its simulation.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,9 +15,9 @@ from reframe_jax.constraints.frame import Frame, ground_twist, locate, multiply,
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
 from reframe_jax.geometry.small import solve_positive
-from reframe_jax.simulation.arm.imperfections import Imperfections, by_axis, compliance_of, measure
+from reframe_jax.simulation.arm.imperfections import Imperfections, by_axis, compliance_of
 from reframe_jax.simulation.arm.model import Arm, Motion, arm_motion, forward_kinematics
-from reframe_jax.simulation.arm.rollout import Steps, Track, hold, integrate
+from reframe_jax.simulation.arm.rollout import Drive, Steps, Track, hold, integrate
 from reframe_jax.simulation.synthetic import Excitation
 
 _RATES = ((1.4, 4.4), (2.4, 5.4), (3.4, 6.4))  # rad/s, by axis; 5 s distinguish these rates
@@ -97,10 +96,8 @@ A hinge then often takes the arm to its limits, which the status reports.
 """
 
 
-def guide_drive(
-    key: jax.Array, frame: Frame, excitation: Excitation, step: float
-) -> Callable[[jax.Array, jax.Array, Motion, Any], tuple[jax.Array, jax.Array]]:
-    """Return the ``Drive`` of a hand with a random misalignment and tremor, for steps of ``step`` s.
+def guide_drive(key: jax.Array, frame: Frame, excitation: Excitation, step: float) -> Drive:
+    """Return the drive of a hand with a random misalignment and tremor, for steps of ``step`` s.
 
     The state of the drive is the target pose (4, 4), m, of the tool, without the misalignment.
     """
@@ -113,7 +110,7 @@ def guide_drive(
     phases = jax.random.uniform(phase_key, (6, len(_TREMOR_RATES)), dtype, maxval=2 * jnp.pi)
     size = size * (2 / len(_TREMOR_RATES)) ** 0.5  # scale the sum of sines to the given RMS
 
-    def drive(pose: jax.Array, t: jax.Array, motion: Motion, located: Any) -> tuple[jax.Array, jax.Array]:
+    def drive(pose: jax.Array, t: jax.Array, motion: Motion) -> tuple[jax.Array, jax.Array]:
         rotation, position = pose[:3, :3], pose[:3, 3]
         wanted = frame.free * jnp.concatenate(excitation(t))
         twist = ground_twist(locate(frame, rotation, position), wanted)
@@ -177,9 +174,17 @@ def record(
     joints: jax.Array, key: jax.Array, numbers: jax.Array, imperfections: Imperfections, *, arm: Arm
 ) -> tuple[jax.Array, jax.Array]:
     """Compute recorded and true poses (N, K+1, 4, 4), m, from joint positions (N, K+1, 7), rad."""
-    keys = demonstration_keys(key, numbers)[:, 3]
-    poses = jax.vmap(lambda q, key: measure(q, imperfections, key, arm))(joints, keys)
-    return poses, transforms.make_pose(*forward_kinematics(joints, arm))
+    given = jax.tree.map(lambda number: jnp.asarray(number, dtype=joints.dtype), imperfections)
+    step = jnp.where(given.encoder_step > 0, given.encoder_step, 1)
+
+    def read(joints: jax.Array, key: jax.Array) -> jax.Array:
+        noise = jax.random.normal(jax.random.split(key)[0], joints.shape, joints.dtype)
+        measured = joints + given.encoder_noise * noise
+        return jnp.where(given.encoder_step > 0, jnp.round(measured / step) * step, measured)
+
+    measured = jax.vmap(read)(joints, demonstration_keys(key, numbers)[:, 3])
+    poses, exact = (transforms.make_pose(*forward_kinematics(each, arm)) for each in (measured, joints))
+    return poses, exact
 
 
 @partial(jax.jit, static_argnames="arm")

@@ -8,8 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.compilation import traced
-from reframe_jax.geometry import transforms
-from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 
 
 @jax.tree_util.register_dataclass
@@ -67,13 +65,3 @@ def by_axis(pair: Any, dtype: Any) -> jax.Array:
 def compliance_of(imperfections: Imperfections, dtype: Any) -> jax.Array:
     """Return the compliance (6,), rad/(N m) and m/N, along the angular and linear axes of a constraint."""
     return by_axis((imperfections.angular_compliance, imperfections.compliance), dtype)
-
-
-def measure(joints: jax.Array, what: Imperfections, key: jax.Array, arm: Arm) -> jax.Array:
-    """Simulate the poses (K+1, 4, 4), m, that the robot records at true joint positions (K+1, 7), rad."""
-    given = jax.tree.map(lambda number: jnp.asarray(number, dtype=joints.dtype), what)
-    noise = jax.random.normal(jax.random.split(key)[0], joints.shape, joints.dtype)
-    read = joints + given.encoder_noise * noise
-    step = jnp.where(given.encoder_step > 0, given.encoder_step, 1)
-    read = jnp.where(given.encoder_step > 0, jnp.round(read / step) * step, read)
-    return transforms.make_pose(*forward_kinematics(read, arm))

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.constraints.frame import Frame, Located, locate, multiply, slip, twist_map
+from reframe_jax.constraints.frame import Frame, locate, multiply, slip, twist_map
 from reframe_jax.geometry.small import solve_positive
 from reframe_jax.motion.checks import MessageCode
 from reframe_jax.simulation.arm.model import Arm, Motion, arm_motion, forward_kinematics
@@ -71,8 +71,8 @@ class Steps(NamedTuple):
     length: float
 
 
-Drive = Callable[[Any, jax.Array, Motion, Located], tuple[Any, jax.Array]]
-"""Function of (state, time in s, arm, frame) that returns (next state, joint torques (7,) in N m)."""
+Drive = Callable[[Any, jax.Array, Motion], tuple[Any, jax.Array]]
+"""Function of (state, time in s, arm) that returns (next state, joint torques (7,) in N m)."""
 
 
 def integrate(
@@ -100,7 +100,7 @@ def integrate(
         motion = arm_motion(joints + step / 2 * velocity, velocity, arm)
         now = locate(frame, motion.rotation, motion.position)
         slipped = slipped + slip(before, now)
-        state, torque = drive(state, (count.astype(dtype) + 0.5) * step, motion, now)
+        state, torque = drive(state, (count.astype(dtype) + 0.5) * step, motion)
         rule = law(slipped)
         rows = rule.acts[:, None] * multiply(twist_map(now), motion.jacobian)
         mass = motion.mass + step * jnp.diag(damping)

@@ -1,9 +1,7 @@
 """Controllers: wrenches along the axes of a control frame, as a function of the travel along the axes."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,8 +10,10 @@ from reframe_jax.constraints.frame import Frame, Located, locate, slip, twist_ma
 from reframe_jax.geometry.products import apply
 from reframe_jax.simulation.arm.imperfections import by_axis
 from reframe_jax.simulation.arm.model import Motion
+from reframe_jax.simulation.arm.rollout import Drive
 
 Pair = tuple[float | jax.Array, float | jax.Array]
+_State = tuple[Located, jax.Array]
 
 
 @jax.tree_util.register_dataclass
@@ -76,18 +76,14 @@ def axis_impedance(speed: Pair = (0.3, 0.08), reach: Pair = (0.5, 0.15)) -> Cont
     )
 
 
-def control_drive(
-    controller: Controller, frame: Frame, goal: jax.Array
-) -> Callable[[Any, jax.Array, Motion, Located], tuple[Any, jax.Array]]:
-    """Return the ``Drive`` of a controller, which moves along the free axes in the direction ``goal`` (6,).
+def control_drive(controller: Controller, frame: Frame, goal: jax.Array) -> Drive:
+    """Return the drive of a controller, which moves along the free axes in the direction ``goal`` (6,).
 
     The state of the drive is the located control frame, and the travel (6,) of its axes in rad and m.
     """
     wanted = {name: by_axis(pair, goal.dtype) for name, pair in vars(controller).items()}
 
-    def drive(
-        state: tuple[Located, jax.Array], t: jax.Array, motion: Motion, _: Located
-    ) -> tuple[tuple[Located, jax.Array], jax.Array]:
+    def drive(state: _State, t: jax.Array, motion: Motion) -> tuple[_State, jax.Array]:
         before, made = state
         now = locate(frame, motion.rotation, motion.position)
         made = made + slip(before, now)
