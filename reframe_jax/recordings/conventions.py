@@ -13,7 +13,7 @@ import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices, rotation_vectors
 from reframe_jax.recordings.recording import AngleTriples, RecordingError, Rows
-from reframe_jax.recordings.selection import Selection, unit_of
+from reframe_jax.recordings.selection import Selection, flag, unit_of
 
 _FULL_TURN = 2 * np.pi * 1.001
 _ROWS = 400  # largest number of rows that are compared
@@ -48,6 +48,16 @@ def read_angles(
                 f"degrees, {advice if stated is None else 'correct the unit in the file'}."
             )
     return AngleTriples(numbers, unit, str(wanted.angles), by_axis, stated is not None)
+
+
+def set_order(rows: Rows, wanted: Selection) -> None:
+    """Read the quaternions of rows in the order that the user gave, if any."""
+    if wanted.quaternion is None:
+        return
+    if rows.values.shape[1] != 7:
+        raise RecordingError(f"{rows.path}: contains no quaternions; leave out {flag('quaternion')}.")
+    turned = reorder(rows.values[:, 3:], rows.order, wanted.quaternion)
+    rows.values, rows.order = np.hstack([rows.values[:, :3], turned]), wanted.quaternion
 
 
 def reorder(quaternions: np.ndarray, stored: str, meant: str) -> np.ndarray:

@@ -12,21 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.recordings import checks, clock
-from reframe_jax.recordings.conventions import check_order, reorder
+from reframe_jax.recordings.conventions import check_order, set_order
 from reframe_jax.recordings.readers import choose_reader
 from reframe_jax.recordings.readers.reader import Entry, Reader
 from reframe_jax.recordings.recording import Recording, RecordingError, Rows
 from reframe_jax.recordings.relative import relative_poses
-from reframe_jax.recordings.selection import (
-    Angles,
-    AngleUnit,
-    Quaternion,
-    Selection,
-    TimeUnit,
-    Unit,
-    flag,
-    unit_of,
-)
+from reframe_jax.recordings.selection import Angles, AngleUnit, Quaternion, Selection, TimeUnit, Unit, unit_of
 
 TIMES_IGNORED = "the times in the file are ignored"
 
@@ -141,12 +132,7 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
         rows = reader.read(path, wanted)
         if "time_unit" not in reader.options:
             rows.seconds = 1.0
-        if wanted.quaternion is not None:
-            if rows.values.shape[1] != 7:
-                raise RecordingError(f"{path}: contains no quaternions; leave out {flag('quaternion')}.")
-            rows.values = rows.values.copy()
-            rows.values[:, 3:] = reorder(rows.values[:, 3:], rows.order, wanted.quaternion)
-            rows.order = wanted.quaternion
+        set_order(rows, wanted)
         ignored = dt is not None and rows.times is not None
         clock.make_times(rows, dt, wanted)
         checks.drop_unfinished(rows)

@@ -18,11 +18,7 @@ except (ImportError, AttributeError, RuntimeError, OSError) as error:
         "Install the libraries of this backend, set MUJOCO_GL to egl, osmesa or glfw, or unset it."
     ) from error
 
-from reframe_jax.simulation.arm.collection import (
-    demonstrations,
-    store_demonstrations,
-    stored_demonstrations,
-)
+from reframe_jax.simulation.arm.collection import demonstrations, store_demonstrations, stored_demonstrations
 from reframe_jax.simulation.arm.demonstration import (
     SPREAD,
     Demonstration,

@@ -6,11 +6,7 @@ identified frame. An inexact frame causes reaction forces along the true constra
 the baseline: its reaction forces come from the inertia and friction of the arm only.
 """
 
-from reframe_jax.simulation.reproduction.comparison import (
-    Comparison,
-    compare,
-    matched_choices,
-)
+from reframe_jax.simulation.reproduction.comparison import Comparison, compare, matched_choices
 from reframe_jax.simulation.reproduction.controllers import (
     Controller,
     axis_impedance,
