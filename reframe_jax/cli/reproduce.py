@@ -39,16 +39,10 @@ def run(options: argparse.Namespace) -> int:
         "hybrid": reproduction.hybrid(),
         "impedance": reproduction.axis_impedance(),
     }
+    common |= {"controller": controllers[options.controller]}
+    given = options.constraint, jax.random.key(options.seed), options.trials
     try:
-        comparison = jax.device_get(
-            reproduction.compare(
-                options.constraint,
-                jax.random.key(options.seed),
-                options.trials,
-                controller=controllers[options.controller],
-                **common,
-            )
-        )
+        comparison = jax.device_get(reproduction.compare(*given, **common))
     except ValueError as error:
         return fail(error)
     print_result(f"{CONSTRAINTS[options.constraint].name}, {options.trials} trials, {options.controller}")

@@ -45,17 +45,9 @@ def run(options: argparse.Namespace) -> int:
         )
     arguments.configure_jax(options.cache)
     compiled = jax.jit(simulate, static_argnames=("constraint", "duration", "dt", "excitation", "exact"))
-    simulation = jax.device_get(
-        compiled(
-            constraint=options.constraint,
-            key=jax.random.key(options.seed),
-            noise=options.noise,
-            duration=options.duration,
-            dt=options.dt,
-            excitation=options.excitation,
-            exact=options.generator == "exact",
-        )
-    )
+    given = {name: getattr(options, name) for name in ("constraint", "noise", "duration", "dt", "excitation")}
+    key, exact = jax.random.key(options.seed), options.generator == "exact"
+    simulation = jax.device_get(compiled(key=key, exact=exact, **given))
     try:
         save_recording(options.out, simulation.times, simulation.poses)
     except RecordingError as error:
