@@ -19,6 +19,7 @@ from reframe_jax.constraints.catalogue import constraint
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType, Dof, LinearType
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import apply, matmul
+from reframe_jax.geometry.small import times
 
 _LINEAR_ON_BODY = np.stack([ORIENTATION_BODIES, POSITION_BODIES], axis=1) == AngularType.B
 """(4, 2) bool: whether the axes, and the origin, of each linear type are fixed in {b}."""
@@ -156,22 +157,15 @@ def frame_arrays(frame: ConstraintFrame) -> Frame:
     return assemble_frame(types, (frame.angular_axes, frame.linear_axes), frame.position, dof)
 
 
-def multiply(matrix: jax.Array, right: jax.Array) -> jax.Array:
-    """Multiply (m, n) by (n,) or (n, k) with elementwise operations, which XLA fuses over a batch."""
-    if right.ndim == 1:
-        return jnp.sum(matrix * right[None, :], axis=-1)
-    return jnp.sum(matrix[:, :, None] * right[None, :, :], axis=1)
-
-
 def locate(frame: Frame, rotation: jax.Array, position: jax.Array) -> Located:
     """Locate a single frame when {b} has the orientation (3, 3) and the origin (3,), m, in {g}."""
-    angular = jnp.where(frame.on_body[0], multiply(rotation, frame.angular_axes), frame.angular_axes)
-    linear = jnp.where(frame.on_body[1], multiply(rotation, frame.linear_axes), frame.linear_axes)
-    with_body = multiply(rotation, frame.position)
+    angular = jnp.where(frame.on_body[0], times(rotation, frame.angular_axes), frame.angular_axes)
+    linear = jnp.where(frame.on_body[1], times(rotation, frame.linear_axes), frame.linear_axes)
+    with_body = times(rotation, frame.position)
     lever = jnp.where(frame.on_body[2], with_body, frame.position - position)
     # relative to the body, a point that is fixed in the ground moves in the opposite direction
-    path = jnp.where(frame.on_body[2], position + with_body, -multiply(rotation.T, lever))
-    path_axes = jnp.where(frame.on_body[2], linear, multiply(rotation.T, linear))
+    path = jnp.where(frame.on_body[2], position + with_body, -times(rotation.T, lever))
+    path_axes = jnp.where(frame.on_body[2], linear, times(rotation.T, linear))
     return Located(rotation, angular, linear, lever, path, path_axes)
 
 
@@ -206,8 +200,8 @@ def twist_map(located: Located) -> jax.Array:
 
 def ground_twist(located: Located, velocities: jax.Array) -> jax.Array:
     """Return the twist (6,) of {b} in {g} for velocities (6,) along the axes; inverts :func:`twist_map`."""
-    w = multiply(located.angular_axes, velocities[:3])
-    u = multiply(located.linear_axes, velocities[3:])
+    w = times(located.angular_axes, velocities[:3])
+    u = times(located.linear_axes, velocities[3:])
     return jnp.concatenate([w, u - jnp.cross(w, located.lever)])
 
 
@@ -218,7 +212,7 @@ def body_twist(frame: Frame, rotation: jax.Array, position: jax.Array, velocitie
     ``position`` (3,), m, are the pose of {b} in {g}; see :func:`locate` and :func:`ground_twist`.
     """
     w, v = jnp.split(ground_twist(locate(frame, rotation, position), velocities), 2)
-    return jnp.concatenate([multiply(rotation.T, w), multiply(rotation.T, v)])
+    return jnp.concatenate([times(rotation.T, w), times(rotation.T, v)])
 
 
 def slip(before: Located, now: Located) -> jax.Array:
@@ -233,10 +227,10 @@ def slip(before: Located, now: Located) -> jax.Array:
         (6,): rotations about the angular axes, rad; then displacements of the frame's origin along the linear
         axes, m.
     """
-    turn = rotations.vee(multiply(now.rotation, before.rotation.T))
+    turn = rotations.vee(times(now.rotation, before.rotation.T))
     step = now.path - before.path
     axes = (before.path_axes + now.path_axes) / 2
-    return jnp.concatenate([multiply(now.angular_axes.T, turn), multiply(axes.T, step)])
+    return jnp.concatenate([times(now.angular_axes.T, turn), times(axes.T, step)])
 
 
 def move_frame(

@@ -11,10 +11,10 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.constraints.frame import Frame, ground_twist, locate, multiply, twist_map
+from reframe_jax.constraints.frame import Frame, ground_twist, locate, twist_map
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
-from reframe_jax.geometry.small import solve_positive
+from reframe_jax.geometry.small import solve_positive, times
 from reframe_jax.simulation.arm.imperfections import Imperfections, by_axis, compliance_of
 from reframe_jax.simulation.arm.model import Arm, Motion, arm_motion, forward_kinematics
 from reframe_jax.simulation.arm.rollout import Drive, Steps, Track, hold, integrate
@@ -194,11 +194,11 @@ def impact_velocity(frame: Frame, joints: jax.Array, velocity: jax.Array, *, arm
     def one(frame: Frame, joints: jax.Array, velocity: jax.Array) -> jax.Array:
         motion = arm_motion(joints, velocity, arm)
         located = locate(frame, motion.rotation, motion.position)
-        rows = (1 - frame.free)[:, None] * multiply(twist_map(located), motion.jacobian)
+        rows = (1 - frame.free)[:, None] * times(twist_map(located), motion.jacobian)
         response = solve_positive(motion.mass[..., None], rows.T)
         # free axes have zero rows; a one on their diagonal gives a zero impulse
-        stopping = multiply(rows, response) + jnp.diag(frame.free)
-        impulse = solve_positive(stopping, multiply(rows, velocity))
-        return velocity - multiply(response, impulse)
+        stopping = times(rows, response) + jnp.diag(frame.free)
+        impulse = solve_positive(stopping, times(rows, velocity))
+        return velocity - times(response, impulse)
 
     return jax.vmap(one)(frame, joints, velocity)

@@ -32,8 +32,8 @@ with contextlib.redirect_stdout(io.StringIO()):  # MJX prints the names of missi
     except ImportError:
         mjx_scan = None
 
-from reframe_jax.constraints.frame import multiply
 from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices
+from reframe_jax.geometry.small import times
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class Motion:
     @property
     def twist(self) -> jax.Array:
         """(6,) rad/s and m/s: angular velocity of {b}, velocity of its origin, in the axes of {g}."""
-        return multiply(self.jacobian, self.velocity)
+        return times(self.jacobian, self.velocity)
 
 
 @contextlib.contextmanager

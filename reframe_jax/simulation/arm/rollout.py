@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.constraints.frame import Frame, locate, multiply, slip, twist_map
-from reframe_jax.geometry.small import solve_positive
+from reframe_jax.constraints.frame import Frame, locate, slip, twist_map
+from reframe_jax.geometry.small import solve_positive, times
 from reframe_jax.motion.checks import MessageCode
 from reframe_jax.simulation.arm.model import Arm, Motion, arm_motion, forward_kinematics
 
@@ -102,15 +102,15 @@ def integrate(
         slipped = slipped + slip(before, now)
         state, torque = drive(state, (count.astype(dtype) + 0.5) * step, motion)
         rule = law(slipped)
-        rows = rule.acts[:, None] * multiply(twist_map(now), motion.jacobian)
+        rows = rule.acts[:, None] * times(twist_map(now), motion.jacobian)
         mass = motion.mass + step * jnp.diag(damping)
         push = torque - motion.bias - damping * velocity
         solved = solve_positive(mass[..., None], jnp.concatenate([rows.T, push[:, None]], axis=1))
         response, unheld = solved[:, :6], velocity + step * solved[:, 6]
         softness = jnp.where(rule.acts > 0, rule.softness, 1)
-        wanted = rule.acts * rule.offset + multiply(rows, unheld)
-        force = -solve_positive(step * multiply(rows, response) + jnp.diag(softness), wanted)
-        velocity = unheld + step * multiply(response, force)
+        wanted = rule.acts * rule.offset + times(rows, unheld)
+        force = -solve_positive(step * times(rows, response) + jnp.diag(softness), wanted)
+        velocity = unheld + step * times(response, force)
         return (joints + step * velocity, velocity, slipped, now, state, force), None
 
     def sample(carry: Any, index: jax.Array) -> tuple[Any, Track]:
