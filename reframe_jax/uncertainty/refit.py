@@ -30,11 +30,8 @@ from reframe_jax.model.table import PATHS, Table, entries_at
 
 Array = jax.Array
 
-_SPANS = ((0, 2), (1, 2), (0, 3), (1, 3), (2, 3))  # part i of n equal parts, as (i, n)
-HALVES, THIRDS = ((1, 2),), ((3, 4), (3, 5), (4, 5))
-"""Pairs of disjoint spans to compare; span 0 is the whole window."""
-LENGTHS = np.array([1, *(1 / parts for _, parts in _SPANS)])
-"""Lengths of the window and of the spans, as fractions of the window."""
+SPANS = ((0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
+"""Parts of a window to fit: part i of n equal parts, as (i, n)."""
 BLOCKS = 6
 """Number of blocks, of which each fit leaves out one."""
 _CHUNK = {"cpu": 8, "gpu": 1024}  # windows per chunk, so that the moments of all parts fit into memory
@@ -78,10 +75,6 @@ class Refit(NamedTuple):
         """Return the fit of one whole window, without the axis of parts."""
         leaves: Any = (*jax.tree.map(lambda leaf: leaf[0], self[:5]), *self[5:])
         return Refit(*leaves)
-
-
-EACH_PART = Refit(0, 0, 0, 0, 0, None, None)  # type: ignore[arg-type]
-"""Axes for ``jax.vmap`` over the parts of one window."""
 
 
 def over_windows(
@@ -198,7 +191,7 @@ def _moments_of_parts(window: Prepared, parts: str, about_mean: bool) -> tuple[M
     every = jnp.arange(values.shape[1], dtype=jnp.int32)
     if parts == "spans":
         first, end = (
-            jnp.stack([count * (part + i) // number for part, number in _SPANS], axis=1) for i in (0, 1)
+            jnp.stack([count * (part + i) // number for part, number in SPANS], axis=1) for i in (0, 1)
         )
         place = first[:, :, None] + every[: -(-values.shape[1] // 2)]
         own = place < end[:, :, None]

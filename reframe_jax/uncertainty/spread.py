@@ -6,14 +6,17 @@ import numpy as np
 
 from reframe_jax.calibration.robust import NORMAL_FACTOR, student_factor
 from reframe_jax.model.fit import Data, coordinates, held_covariance, move
-from reframe_jax.uncertainty.refit import BLOCKS, EACH_PART, HALVES, LENGTHS, THIRDS, Refit
+from reframe_jax.uncertainty.refit import BLOCKS, SPANS, Refit
 
 Array = jax.Array
 
 _GROUPS = slice(0, 3), slice(3, 6), slice(6, 9)  # angular axes, linear axes, origin
 _FEWEST = 2.0  # fewest degrees of freedom of Student's distribution
 _FEWEST_POSES = 8  # of a part
-_SET = np.repeat(range(3), (1, len(HALVES), len(THIRDS)))  # of each pair: redundant axes, halves, thirds
+_EACH_PART = Refit(0, 0, 0, 0, 0, None, None)  # type: ignore[arg-type]  # axes for jax.vmap over parts
+_LENGTHS = np.array([1, *(1 / parts for _, parts in SPANS)])  # of the window and of its spans, in windows
+_HALVES, _THIRDS = ((1, 2),), ((3, 4), (3, 5), (4, 5))  # pairs of disjoint parts to compare; 0 is the window
+_SET = np.repeat(range(3), (1, len(_HALVES), len(_THIRDS)))  # of each pair: redundant axes, halves, thirds
 _KNOWN = 1e-9  # fraction of the largest variance below which a variance counts as zero
 # mean squared distances (1 by chance) up to which no difference is added, and from which all of it is
 _CHANCE, _SIGNIFICANT = 3.0, 4.0
@@ -77,14 +80,14 @@ def combine_parts(refit: Refit, *, parts: str) -> tuple[Array, Array]:
         rest = refit.numbers[1:] - jnp.mean(refit.numbers[1:], axis=0)
         matrix = rest.T @ rest * (BLOCKS - 1) / BLOCKS * _student_variance(jnp.asarray(BLOCKS - 1.0))
         return matrix, jnp.ones(3, matrix.dtype)
-    own, redundant, white = jax.vmap(_spread_of_fit, in_axes=(EACH_PART,))(refit)
+    own, redundant, white = jax.vmap(_spread_of_fit, in_axes=(_EACH_PART,))(refit)
     matrix = own[0]
     if parts == "whole":
         return matrix, jnp.ones(3, matrix.dtype)
     # widen by the differences of redundant axes, halves and thirds
     estimates, covariances = _parts_with_prior(refit, own)
-    i, j = np.concatenate([HALVES, THIRDS]).T
-    long = [jnp.all(refit.poses[np.ravel(pairs)] >= _FEWEST_POSES) for pairs in (HALVES, THIRDS)]
+    i, j = np.concatenate([_HALVES, _THIRDS]).T
+    long = [jnp.all(refit.poses[np.ravel(pairs)] >= _FEWEST_POSES) for pairs in (_HALVES, _THIRDS)]
     used = jnp.stack([jnp.asarray(True), *long])[_SET][:, None, None]
     apart = jnp.concatenate([redundant[0].reshape(1, 3, 3), estimates[i] - estimates[j]])
     chance = jnp.concatenate([_blocks(white[0])[None], covariances[i] + covariances[j]])
@@ -152,7 +155,7 @@ def _parts_with_prior(refit: Refit, own: Array) -> tuple[Array, Array]:
     data = refit.data
     moved = covariances_of_motions(refit.of_whole(), data.products, data.details)
     moved = jax.vmap(_blocks)(moved)
-    values, axes, known = _principal(moved[0] + _PRIOR * LENGTHS[:, None, None, None] * moved)
+    values, axes, known = _principal(moved[0] + _PRIOR * _LENGTHS[:, None, None, None] * moved)
     inverse = jnp.where(known, 1 / jnp.where(known, values, 1), 0)
     weight = (1 + _PRIOR) * moved[0] @ jnp.einsum("mgij,mgj,mgkj->mgik", axes, inverse, axes)
     estimates = jnp.einsum("mgij,mgj->mgi", weight, refit.numbers.reshape(-1, 3, 3))
