@@ -14,8 +14,7 @@ import numpy as np
 
 import reframe_jax
 from reframe_jax.simulation import arm as panda
-from reframe_jax.storage.codecs import NPZ
-from reframe_jax.storage.parts import read_part, remove_leftovers, write_part
+from reframe_jax.storage.parts import NPZ, read_part, remove_leftovers, write_part
 from reframe_jax.storage.records import describe
 
 __all__ = ["LABELS", "Section", "Store", "demonstrations", "number", "plain", "spread", "table"]

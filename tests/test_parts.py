@@ -17,8 +17,7 @@ import pytest
 import reframe_jax as rf
 from reframe_jax.simulation import synthetic
 from reframe_jax.storage import results
-from reframe_jax.storage.codecs import NPZ, PARQUET, Codec
-from reframe_jax.storage.parts import Run, read_part, write_part
+from reframe_jax.storage.parts import NPZ, PARQUET, Codec, Run, read_part, write_part
 from reframe_jax.storage.records import describe, describe_options
 
 pytest.importorskip("pyarrow")

@@ -17,7 +17,7 @@ from reframe_jax.export.common import TYPES, Window
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
-from reframe_jax.storage.codecs import PARQUET
+from reframe_jax.storage.parts import PARQUET
 
 if TYPE_CHECKING:
     import pandas

@@ -140,7 +140,11 @@ def explain_finding(finding: Finding, spread: Spread | None, tested: Tested | No
     """
     freedom = finding.name.removeprefix("Unnamed: ")
     like = _LIKE.get(finding.name, f"This combination of free axes has no common name: {freedom}")
-    known = "" if np.isnan(finding.probability) else f" (probability {_probability(finding.probability)})"
+    probability = finding.probability
+    words = (
+        "below 0.01" if probability < 0.01 else "above 0.99" if probability > 0.99 else f"{probability:.2f}"
+    )
+    known = "" if np.isnan(probability) else f" (probability {words})"
     lines = [f"{like}{known}."]
     where = [line for line in (_where(finding, spread), _direction(finding, spread)) if line]
     if spread is not None and where and not bool(spread.first_order):
@@ -148,10 +152,6 @@ def explain_finding(finding: Finding, spread: Spread | None, tested: Tested | No
     lines += [*_held(finding), *where]
     open_questions = _still_open(finding, tested)
     return "\n".join([*lines, *open_questions])
-
-
-def _probability(value: float) -> str:
-    return "below 0.01" if value < 0.01 else "above 0.99" if value > 0.99 else f"{value:.2f}"
 
 
 def _held(finding: Finding) -> list[str]:

@@ -3,7 +3,8 @@
 A run is a folder with numbered parts. A part on disk is always complete. Each part contains its name, the
 options of the run, and checksums of its input and its contents, so every read detects a part that is damaged,
 copied or made with other options. A run writes nothing before the first part is computed; invalid options
-therefore leave no files.
+therefore leave no files. The file of a part has named arrays and a line of text, as a NumPy archive or as
+Parquet.
 """
 
 import errno
@@ -15,20 +16,90 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 import reframe_jax
-from reframe_jax.storage.codecs import Codec
 from reframe_jax.storage.records import checksum
 
 _FORMAT = 5
 _PART = re.compile(r"part-(\d{8,})")
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}")
+_HEADER = "reframe_jax"  # name of the text in a file
 _ABANDONED = 3600.0  # s, age of an abandoned file; larger than the clock differences between machines
 
 Record = dict[str, Any]
+
+
+class _Npz:
+    """One array of the archive per array, and one for the text."""
+
+    suffix = ".npz"
+
+    def write(self, file: Path, arrays: Mapping[str, np.ndarray], header: str) -> None:
+        entries: dict[str, Any] = {**arrays, _HEADER: header}
+        with file.open("wb") as stream:
+            np.savez_compressed(stream, **entries)
+
+    def read(self, stream: BinaryIO) -> tuple[dict[str, Any], str]:
+        with np.load(stream) as stored:
+            arrays = dict(stored)
+        return arrays, str(arrays.pop(_HEADER))
+
+
+class _Parquet:
+    """One column per array: the first axis gives the rows, the other axes give nested lists."""
+
+    suffix = ".parquet"
+
+    def write(self, file: Path, arrays: Mapping[str, np.ndarray], header: str) -> None:
+        arrow = self.library()
+        table = arrow.table({name: _to_arrow(arrow, np.asarray(array)) for name, array in arrays.items()})
+        # dictionary encoding merges numbers that compare equal but differ in their bits, such as 0 and -0
+        arrow.parquet.write_table(
+            table.replace_schema_metadata({_HEADER: header}), file, use_dictionary=False
+        )
+
+    def read(self, stream: BinaryIO) -> tuple[dict[str, Any], str]:
+        table = self.library().parquet.read_table(stream)
+        header = table.schema.metadata[_HEADER.encode()].decode()
+        return {name: _from_arrow(table.column(name)) for name in table.column_names}, header
+
+    @staticmethod
+    def library() -> Any:
+        """Import PyArrow, or raise an ImportError that names the extra."""
+        try:
+            import pyarrow
+            import pyarrow.parquet
+        except ImportError as error:
+            raise ImportError(
+                "Results are stored as Parquet, which needs pyarrow: pip install 'reframe-jax[parquet]'"
+            ) from error
+        return pyarrow
+
+
+NPZ = _Npz()
+PARQUET = _Parquet()
+Codec = _Npz | _Parquet
+"""A file format of parts; reading raises the errors of the format for a damaged file."""
+
+
+def _to_arrow(arrow: Any, values: np.ndarray) -> Any:
+    """Convert an array (N, a, b, ...) to a column of N nested lists of fixed size."""
+    column = arrow.array(np.ascontiguousarray(values).reshape(-1))
+    for size in reversed(values.shape[1:]):
+        column = arrow.FixedSizeListArray.from_arrays(column, size)
+    return column
+
+
+def _from_arrow(column: Any) -> np.ndarray:
+    """Convert a column of :func:`_to_arrow` back to an array."""
+    values, shape = column.combine_chunks(), [len(column)]
+    while hasattr(values.type, "list_size"):
+        shape.append(values.type.list_size)
+        values = values.flatten()
+    return np.asarray(values.to_numpy(zero_copy_only=False)).reshape(shape)
 
 
 def write_part(
@@ -37,7 +108,7 @@ def write_part(
     """Write named arrays as a part, with its name, its options, and the checksum ``source`` of its input."""
     values = {name: np.asarray(array) for name, array in arrays.items()}
     header: Record = {"name": file.stem, "source": source, "options": options}
-    header["checksum"] = _checksum(values, header)
+    header["checksum"] = checksum(values, start=json.dumps(header, sort_keys=True))
     text = json.dumps(header)
     write_whole(file, lambda temporary: codec.write(temporary, values, text))
 
@@ -57,7 +128,7 @@ def read_part(
         try:
             arrays, text = codec.read(stream)
             header = json.loads(text)
-            sound = header.pop("checksum") == _checksum(arrays, header)
+            sound = header.pop("checksum") == checksum(arrays, start=json.dumps(header, sort_keys=True))
             name, made_from, made_with = (header[entry] for entry in ("name", "source", "options"))
         except (MemoryError, ImportError):
             raise
@@ -79,10 +150,6 @@ def read_part(
             "folder."
         )
     return arrays, made_with
-
-
-def _checksum(arrays: Mapping[str, Any], header: Record) -> str:
-    return checksum(arrays, start=json.dumps(header, sort_keys=True))
 
 
 def _damaged(file: Path, why: str) -> ValueError:

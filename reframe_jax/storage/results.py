@@ -20,8 +20,7 @@ from numpy.typing import ArrayLike
 from reframe_jax.identification.entry import identify
 from reframe_jax.identification.options import IdentifyOptions
 from reframe_jax.identification.results import Identification
-from reframe_jax.storage.codecs import PARQUET
-from reframe_jax.storage.parts import Run
+from reframe_jax.storage.parts import PARQUET, Run
 from reframe_jax.storage.progress import Progress, make_meter
 from reframe_jax.storage.records import checksum, describe_options
 

@@ -11,8 +11,7 @@ from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.simulation.arm.demonstration import DemonstrateOptions, Demonstration, demonstrate
 from reframe_jax.simulation.arm.rollout import RolloutStatus
-from reframe_jax.storage.codecs import NPZ
-from reframe_jax.storage.parts import Run
+from reframe_jax.storage.parts import NPZ, Run
 from reframe_jax.storage.progress import Progress, make_meter
 from reframe_jax.storage.records import describe, describe_options
 
