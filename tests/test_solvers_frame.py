@@ -12,8 +12,7 @@ from reframe_jax.geometry.small import rotate
 from reframe_jax.geometry.symmetric import to_matrix
 from reframe_jax.objectives.norms import log_power_mean
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
-from reframe_jax.solvers import BasinHopping, Box, FrameSteps, JointSearch, ValleySteps
-from reframe_jax.solvers import frame_steps as frame_steps
+from reframe_jax.solvers import BasinHopping, Box, FrameSteps, JointSearch, ValleySteps, moments_steps
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +27,7 @@ class TestFrameSteps:
         """In one plane the turn makes the matrix diagonal, by the smaller angle."""
         matrix = np.diag([1.0, 2.0, 4.0])
         matrix[i, j] = matrix[j, i] = 0.3
-        turn = np.asarray(frame_steps._aligning_rotation(jnp.asarray(matrix)))
+        turn = np.asarray(moments_steps._aligning_rotation(jnp.asarray(matrix)))
         assert np.count_nonzero(turn) == 1
         assert np.max(np.abs(turn)) < np.pi / 4
         axes = Rotation.from_rotvec(-turn).as_matrix()

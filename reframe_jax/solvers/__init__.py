@@ -9,11 +9,10 @@ gradient transformation).
 
 from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.basin_hopping import BasinHopping, JointSearch, SearchState
-from reframe_jax.solvers.frame_steps import FrameSteps
+from reframe_jax.solvers.moments_steps import FrameSteps, ValleySteps
 from reframe_jax.solvers.newton_steps import NewtonSteps
 from reframe_jax.solvers.optax_steps import OptaxSteps
 from reframe_jax.solvers.protocol import Box, LocalMinimiser, Solution, Solver
-from reframe_jax.solvers.valley_steps import ValleySteps
 
 __all__ = [
     "BasinHopping",

@@ -14,8 +14,8 @@ from reframe_jax.geometry.small import solve_positive
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, PACKED
 from reframe_jax.objectives.protocol import MomentsObjective, Objective, check_objective
 from reframe_jax.objectives.velocity import FrameObjective
+from reframe_jax.solvers.moments_steps import ValleySteps
 from reframe_jax.solvers.protocol import Box, LocalMinimiser, Solution, repeat_problems
-from reframe_jax.solvers.valley_steps import ValleySteps
 
 _SUGGESTED = 0.4  # fraction of the chains with a start from the data, if there are rounds
 _CANDIDATES = 4, 64  # candidates per start from the data: in the first round, and in later rounds

@@ -2,13 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.objectives.protocol import MomentsObjective, Objective
-from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
+from reframe_jax.objectives.protocol import Objective
 
 _T = TypeVar("_T")
 
@@ -116,33 +115,3 @@ class BatchSteps:
     def _minimise_one(self, objective: Any, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Minimize one problem from a start x, (dim,)."""
         raise NotImplementedError
-
-
-class MomentsSteps(BatchSteps):
-    """Base of the minimizers of norms that are given by moments."""
-
-    _norm: ClassVar[type[PositionObjective] | type[FrameObjective]]
-
-    def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Minimize every :class:`MomentsObjective` from starts x, (dim, ...); see :data:`LocalMinimiser`.
-
-        Raises:
-            ValueError: for another objective.
-        """
-        known = self.check(objective)
-        found, _ = super().__call__(self._norm(known.moments, known.exponent), box, x)
-        return found, objective.value(found)
-
-    @classmethod
-    def check(cls, objective: Objective) -> MomentsObjective:
-        """Return the objective if these steps can minimize it.
-
-        Raises:
-            ValueError: for another objective; the message names a minimizer that works.
-        """
-        if isinstance(objective, MomentsObjective) and objective.unknowns == cls._norm.unknowns:
-            return objective
-        raise ValueError(
-            f"{cls.__name__} minimize norms given by moments (a {cls._norm.__name__}), not a "
-            f"{type(objective).__name__}; NewtonSteps and OptaxSteps minimize any objective."
-        )
