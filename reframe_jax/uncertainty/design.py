@@ -92,7 +92,7 @@ def next_motion(
         frame = frame_arrays(jax.tree.map(lambda leaf: leaf.astype(float), frame))
         centre, refit = over_windows(_fit_whole, found, recorded, clock, None, "auto")
         now, then = _spreads(frame, recorded[-1], axes * _SPEED, step, centre, refit, number=number)
-    shrinks = _shrinks(np.asarray(now), np.asarray(then))
+    shrinks = _shrinks(np.asarray(now, float), np.asarray(then, float))
     order = np.argsort(shrinks, kind="stable")
     return MotionAdvice(axes[order], shrinks[order])
 
@@ -133,7 +133,6 @@ def _spreads(
 
 def _shrinks(now: np.ndarray, then: np.ndarray) -> np.ndarray:
     """Geometric mean of the factors on the standard deviations, (M,), over components with a variance."""
-    now, then = now.astype(float), then.astype(float)
     kinds = np.repeat(np.sqrt([max(np.trace(now[i : i + 3, i : i + 3]), 1e-30) for i in (0, 3, 6)]), 3)
     unit = np.outer(kinds, kinds)
     variances, directions = np.linalg.eigh(now / unit)

@@ -50,7 +50,9 @@ class Drawing:
         """Prepare a scene for windows with a given size in m."""
         self._scene = scene
         self._size = size
-        self._axis_length = _round_down(0.3 * size)
+        power = 10.0 ** np.floor(np.log10(0.3 * size))
+        # the largest of 1, 2 or 5 times a power of ten that does not exceed 0.3 of the size
+        self._axis_length = float(power * max(step for step in (1, 2, 5) if step * power <= 0.3 * size))
         self._root: Any = None
         self._moving: dict[str, Any] = {}
         self._window: WindowTrack | None = None
@@ -169,12 +171,6 @@ class Drawing:
         _move(self._moving["linear"], origin, frame.linear_axes[sample])
         _move(self._moving["angular"], origin, frame.angular_axes[sample])
         _move(self._moving["spread"], origin, np.eye(3) if frame.in_body is None else pose[:3, :3])
-
-
-def _round_down(length: float) -> float:
-    """Largest of 1, 2 or 5 times a power of ten that does not exceed a length, m."""
-    power = 10.0 ** np.floor(np.log10(length))
-    return float(power * max(step for step in (1, 2, 5) if step * power <= length))
 
 
 def _move(node: Any, position: np.ndarray, rotation: np.ndarray) -> None:

@@ -239,8 +239,7 @@ def reproduce_sequence(
     for truth, frame in zip(truths, control, strict=True):
         start = stages[-1].joint_positions[-1] if stages else ROOMY
         pair = jax.tree.map(lambda leaf: leaf[None], (truth, frame))
-        one = reproduce(*pair, arm=arm, start=start)
-        stages.append(one[0])
+        stages.append(reproduce(*pair, arm=arm, start=start)[0])
         if not bool(stages[-1].completed):
             break
     forces = [np.linalg.norm(np.asarray(s.reaction)[:, 3:], axis=1) for s in stages[1:]]
