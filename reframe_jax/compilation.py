@@ -37,6 +37,7 @@ class Program:
         if not can_keep(static):
             return self.jitted(*arguments, **static)
         leaves, tree = jax.tree.flatten(arguments)
+        leaves = _unbound(leaves)
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         key = tree, shapes, platform_of(leaves), tuple(sorted(static.items()))
         if key not in self._kept:
@@ -44,6 +45,26 @@ class Program:
             self._kept[key] = jax.jit(call, compiler_options=COMPILER_OPTIONS), jax.tree.structure(result)
         call, structure = self._kept[key]
         return jax.tree.unflatten(structure, call(*leaves))
+
+
+def _unbound(leaves: list[Any]) -> list[Any]:
+    """Return arrays that are bound to the default CPU device as NumPy arrays, without a copy.
+
+    The results of kept programs are bound ("committed") to a device, other arrays are not. JAX would compile
+    a program of results once for each case.
+    """
+    if jax.config.jax_default_device is not None or jax.default_backend() != "cpu":  # type: ignore[attr-defined]
+        return leaves
+    usual = {jax.devices()[0]}
+    return [
+        np.asarray(leaf)
+        if isinstance(leaf, jax.Array)
+        and leaf.committed
+        and leaf.devices() == usual
+        and not jnp.issubdtype(leaf.dtype, jax.dtypes.extended)
+        else leaf
+        for leaf in leaves
+    ]
 
 
 def jit_pair(function: Callable[..., Any], static: tuple[str, ...]) -> tuple[Program, Any]:

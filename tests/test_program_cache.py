@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import reframe_jax as rf
 from reframe_jax import program_cache
+from reframe_jax.compilation import Program
 from reframe_jax.motion.kinematics import split_poses
 
 pytest.importorskip("flatbuffers")
@@ -83,6 +86,18 @@ def test_a_compiled_program_that_cannot_be_read_is_replaced(first: Path) -> None
 def test_a_folder_that_cannot_be_written_costs_no_answer(tmp_path: Path) -> None:
     (tmp_path / "programs").write_text("a file, not a folder")
     assert run(tmp_path)[0] == "2"
+
+
+def test_results_and_other_arrays_use_one_program(caplog: pytest.LogCaptureFixture) -> None:
+    """JAX binds results to a device, and would compile a second program for arrays that are not bound."""
+    program = Program(lambda x: [2 * x], ())
+    (result,) = program(np.arange(3.0))
+    assert result.committed
+    free = jnp.arange(3.0)
+    with jax.log_compiles():
+        for array in (result, free):
+            np.testing.assert_array_equal(program(array)[0], 2 * np.asarray(array))
+    assert not [record for record in caplog.records if "jit(call)" in record.getMessage()]
 
 
 @pytest.fixture
