@@ -43,7 +43,7 @@ del gc, os, jax, reframe_jax
 # pictures stay the same. Other tests also compile programs for eight demonstrations.
 SMALLER = {
     "np.logspace(-6, -3, 7), 75": "np.logspace(-6, -3, 7), 5",
-    "maxiter=100": "maxiter=5",
+    "maxiter=100": "maxiter=1",
     "part_size=512": "part_size=64",
     "BATCH = 32": "BATCH = 8",
     "joint_positions[0, ::2]": "joint_positions[0, ::10]",
