@@ -1,7 +1,5 @@
 """Evidence that the search is global."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,21 +42,27 @@ def problems(windows):
 CUBE = Box(-jnp.ones(3), jnp.ones(3))
 
 
-@partial(jax.jit, static_argnums=0)
 def minimise(solver, objective, key):
     return solver.minimise(objective, CUBE, key)
 
 
-def search(solver, objective, seed=0):
+short = jax.jit(minimise, static_argnums=0)
+# reference searches run for longer than they compile, so LLVM optimises their programs
+long = jax.jit(minimise, static_argnums=0, compiler_options={"xla_backend_optimization_level": 1})
+
+
+def search(solver, objective, program=short, seed=0):
     """Value of every problem, (windows, 4)."""
-    return minimise(solver, objective, jax.random.key(seed)).value
+    return program(solver, objective, jax.random.key(seed)).value
 
 
 def test_the_searches_reach_the_best_of_64_long_searches(windows, problems):
     """That of ``identify`` and that of ``default_solver``."""
-    long = rf.BasinHopping(rf.ValleySteps(40), restarts=64, hops=0, refine=rf.ValleySteps(40))
-    best = search(long, PositionObjective(problems), seed=1)
-    found = np.log(np.asarray(rf.identify(windows, dt=0.1, scales=1, bounds=1.0).linear.norms))
+    many = rf.BasinHopping(rf.ValleySteps(40), restarts=64, hops=0, refine=rf.ValleySteps(40))
+    best = search(many, PositionObjective(problems), long, seed=1)
+    # with thresholds, the search is the same, and no constraint is fitted
+    identified = rf.identify(windows, dt=0.1, scales=1, bounds=1.0, thresholds=rf.Thresholds())
+    found = np.log(np.asarray(identified.linear.norms))
     hopping = np.asarray(search(default_solver(), PositionObjective(problems)))
     best = np.minimum(best, np.minimum(found, hopping))
     assert np.mean(found - best > 1e-3) <= 1e-2
@@ -69,11 +73,10 @@ def above_truth(label):
     """How far the search of slow motions ends above log J of the true origin, (96,)."""
     frame = rf.ConstraintFrame.named(label)
     poses, centre = simulated(label, np.logspace(-6, -5, 4), 24, "slow")
-    linear = six_moments(poses, 0.1)[1]
     kind = frame.linear_type
+    linear = PositionObjective(six_moments(poses, 0.1)[1][..., int(kind)])
     origin = frame.position[None] - (centre if kind.position_body == rf.AngularType.G else 0 * centre)
-    at_truth = PositionObjective(linear[..., int(kind)]).value(origin.T)
-    return np.asarray(search(default_solver(), PositionObjective(linear))[:, int(kind)] - at_truth)
+    return np.asarray(search(default_solver(), linear) - linear.value(origin.T))
 
 
 def test_slow_motion_is_mostly_explained_as_well_as_by_the_truth():
@@ -90,7 +93,7 @@ LARGEST_MISS = 0.03 if jax.__version_info__ < (0, 11) else 0.06
 def test_other_norms_reach_the_best_of_a_longer_search(problems, exponent, missed):
     some = PositionObjective(problems[:, :, ::12], exponent)
     joint = JointSearch(rf.BasinHopping(rf.FrameSteps(15), restarts=48, hops=4), refine=rf.ValleySteps(10))
-    best = search(joint, some, seed=1)
+    best = search(joint, some, long, seed=1)
     found = search(default_solver(exponent), some)
     best = jnp.minimum(best, found)
     assert np.mean(np.asarray(found - best) > 1e-3) <= missed
