@@ -11,6 +11,7 @@ machine code that users run. Variables set by the caller win.
 """
 
 import builtins
+import contextlib
 import ctypes
 import gc
 import os
@@ -50,7 +51,21 @@ rf.cache_programs(os.environ["JAX_COMPILATION_CACHE_DIR"])
 
 # in this order, first of all: no worker waits for them at the end, and few programs are compiled by both
 _LONGEST = ("test_devices.py", "test_documentation.py", "test_viewer.py", "test_notebooks.py")
-_MOST_MEMORY = 1.8e9  # bytes that a process may hold after a module; a module adds up to a gigabyte
+
+
+def _machine_memory() -> float:
+    """Bytes that all processes may hold together, where the system says; otherwise few."""
+    limits = []
+    with contextlib.suppress(ValueError, OSError):
+        limits.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    with contextlib.suppress(ValueError, OSError):  # of a container; "max" if it has no limit
+        limits.append(int(Path("/sys/fs/cgroup/memory.max").read_text()))
+    return float(min(limits, default=0))
+
+
+# bytes that a process may hold after a module; a module adds up to a gigabyte
+_WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+_MOST_MEMORY = float(np.clip(_machine_memory() / 2 / _WORKERS, 1.8e9, 4e9))
 
 hypothesis.settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 hypothesis.settings.load_profile("repeatable")
