@@ -149,6 +149,8 @@ def identify_unchecked(
         dtype = jax.dtypes.canonicalize_dtype(array.dtype)
         level = None if thresholds is None else jax.tree.map(lambda t: jnp.asarray(t, dtype), thresholds)
         reach = check_bounds(bounds)
+        if reach is None and not inside_a_trace:
+            reach = np.nan  # the default, so that the program is that of given bounds
         options = None if reach is None else jnp.asarray(reach, dtype), level, key
         run = partial(
             _program_in_trace if inside_a_trace else _program,

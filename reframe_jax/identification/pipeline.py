@@ -37,7 +37,7 @@ def identify_windows(
         poses: (N, P, 4, 4) m.
         steps: (K,) or (N, K) durations of the steps, s.
         count: (N,) number of poses in each window, if the poses after them are padding; else None.
-        bounds: () m, half the width of the cube of origins; None for the default.
+        bounds: () m, half the width of the cube of origins; None or NaN for the default.
         thresholds: RMS velocities above which an axis is free; None if probabilities decide.
         key: JAX random key of the solver.
         scales: numbers of samples; None for all scales at which the motion exceeds the noise.

@@ -55,7 +55,7 @@ def prepare_windows(
         poses: (N, P, 4, 4) m.
         steps: (K,) or (N, K) durations of the steps, s.
         count: (N,) number of poses in each window, if the poses after them are padding; else None.
-        bounds: () m, half the width of the cube of origins; None for the default.
+        bounds: () m, half the width of the cube of origins; None or NaN for the default.
         scales: numbers of samples; None for all scales, without outliers; an empty tuple to compare poses
             with their mean.
     """
@@ -90,7 +90,8 @@ def prepare_windows(
     moments = scale_moments(features.values, counted.T, count, about_mean)
     square = jnp.max(jnp.where(counted, jnp.sum(jnp.square(position), axis=0), 0), axis=0)
     box = jnp.maximum(_REACH, _REACH * jnp.sqrt(jax.lax.stop_gradient(square)))
-    box = box if bounds is None else jnp.broadcast_to(jnp.asarray(bounds, box.dtype), box.shape)
+    if bounds is not None:
+        box = jnp.where(jnp.isnan(bounds), box, jnp.asarray(bounds, box.dtype))
     return Prepared(status, centre, poses, counted.T, steps, number, noise, features, moments, box)
 
 
