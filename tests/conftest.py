@@ -49,8 +49,17 @@ import reframe_jax as rf
 jax.config.update("jax_enable_x64", True)
 rf.cache_programs(os.environ["JAX_COMPILATION_CACHE_DIR"])
 
-# in this order, first of all: no worker waits for them at the end, and few programs are compiled by both
-_LONGEST = ("test_devices.py", "test_documentation.py", "test_viewer.py", "test_notebooks.py")
+# in this order, first of all: no worker waits for them at the end, and two that run at the same time share
+# few programs, which both workers would compile
+_LONGEST = (
+    "test_documentation.py",
+    "test_global.py",
+    "test_notebooks.py",
+    "test_covariance.py",
+    "test_devices.py",
+    "test_viewer.py",
+    "test_derivatives.py",
+)
 
 
 def _machine_memory() -> float:
