@@ -1,11 +1,10 @@
 """Explain an identification in plain English."""
 
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
-from reframe_jax.constraints.types import BODY_NAMES, AngularType, LinearType
+from reframe_jax.constraints.types import BODY_NAMES, LinearType
 from reframe_jax.joints.joint import format_vector, two_digits
 
 _INTERVAL = 1.96  # half-width of a 95 % interval, in standard deviations
@@ -89,78 +88,40 @@ class Tested(Protocol):
         """Whether a velocity was constant throughout."""
 
 
-@dataclass(frozen=True)
-class Finding:
-    """The result of one window, as NumPy arrays.
-
-    Attributes:
-        name: name of the constraint.
-        probability: probability of the name; NaN with thresholds.
-        named: whether the catalogue contains the name.
-        angular_type, linear_type: types of the frames.
-        angular_dof, linear_dof: (3,) 1 for free axes, 0 for constrained axes.
-        angular_axes, linear_axes: (3, 3), columns are the axes.
-        angular_amplitude, linear_amplitude: (3,) rad and m, RMS displacement along the axes.
-        position: (3,) m, origin of the linear frame.
-        free_position: (3, 3) projector onto the directions along which the origin can be shifted without
-            changing the constraint.
-        rivals: names of other linear types that fit equally well; empty if all types express the constraint.
-        pitch: pitch of a screw joint, m/rad; else NaN.
-        universal: (2, 3) axes of a universal joint, in {g} and in {b}; else None.
-    """
-
-    name: str
-    probability: float
-    named: bool
-    angular_type: AngularType
-    linear_type: LinearType
-    angular_dof: np.ndarray
-    linear_dof: np.ndarray
-    angular_axes: np.ndarray
-    linear_axes: np.ndarray
-    angular_amplitude: np.ndarray
-    linear_amplitude: np.ndarray
-    position: np.ndarray
-    free_position: np.ndarray
-    rivals: tuple[str, ...]
-    pitch: float
-    universal: np.ndarray | None
-
-
-def explain_finding(finding: Finding, spread: Spread | None, tested: Tested | None) -> str:
-    """Explain a result in up to six lines.
+def explain_window(found: Any, spread: Spread | None, tested: Tested | None) -> str:
+    """Explain an identification in up to six lines.
 
     The lines state the constraint, its probability, the displacements along constrained and free axes, the
     origin, the axis, what the motion does not determine, and which motion to record.
 
     Args:
-        finding: result of one window.
+        found: :class:`.Identification` of one window, as NumPy arrays, with a result.
         spread: covariance of this result, for error bars; None for a text without error bars.
         tested: degrees of freedom that the motion tested; None if they are not known.
     """
-    freedom = finding.name.removeprefix("Unnamed: ")
-    like = _LIKE.get(finding.name, f"This combination of free axes has no common name: {freedom}")
-    probability = finding.probability
+    freedom = found.name.removeprefix("Unnamed: ")
+    like = _LIKE.get(found.name, f"This combination of free axes has no common name: {freedom}")
+    probability = found.probability
     words = (
         "below 0.01" if probability < 0.01 else "above 0.99" if probability > 0.99 else f"{probability:.2f}"
     )
     known = "" if np.isnan(probability) else f" (probability {words})"
     lines = [f"{like}{known}."]
-    where = [line for line in (_where(finding, spread), _direction(finding, spread)) if line]
+    where = [line for line in (_where(found, spread), _direction(found, spread)) if line]
     if spread is not None and where and not bool(spread.first_order):
         where[-1] += " The noise is high; the true error may exceed this interval."
-    lines += [*_held(finding), *where]
-    open_questions = _still_open(finding, tested)
+    lines += [*_held(found), *where]
+    open_questions = _still_open(found, tested)
     return "\n".join([*lines, *open_questions])
 
 
-def _held(finding: Finding) -> list[str]:
+def _held(found: Any) -> list[str]:
     """State the largest RMS displacement along constrained and along free axes, in mm and in mrad."""
     sizes = []
     for free in (0, 1):
         moved = [
-            (finding.linear_amplitude[finding.linear_dof == free], "mm"),
-            (finding.angular_amplitude[finding.angular_dof == free], "mrad"),
+            (found.linear.amplitude[found.linear.dof == free], "mm"),
+            (found.angular.amplitude[found.angular.dof == free], "mrad"),
         ]
         sizes.append(
             " and ".join(
@@ -168,7 +129,7 @@ def _held(finding: Finding) -> list[str]:
             )
         )
     held, free_motion = sizes
-    if not held or not free_motion or finding.universal is not None:
+    if not held or not free_motion or np.isfinite(found.universal_axes).all():
         return []
     return [
         f"Along the constrained axes the RMS displacement is at most {held}; "
@@ -185,19 +146,19 @@ def _within(size: float, unit: str) -> str:
     return f", give or take {size:.2g} {unit}"
 
 
-def _where(finding: Finding, spread: Spread | None) -> str:
+def _where(found: Any, spread: Spread | None) -> str:
     """State the position of the origin; an empty text if every position is equally valid."""
-    free = round(float(np.trace(finding.free_position)))
-    if free == 3 or finding.linear_dof.sum() == 3:
+    free = round(float(np.trace(found.linear.free_position)))
+    if free == 3 or found.linear.dof.sum() == 3:
         return ""
     what, others = "The point is", ""
-    if free == 1 and (finding.linear_dof.sum() == 0 or finding.name in ("Cylinder joint", "Screw joint")):
+    if free == 1 and (found.linear.dof.sum() == 0 or found.name in ("Cylinder joint", "Screw joint")):
         what, others = "The axis passes through", "Any point on this axis is equally valid."
     elif free:
-        what, others = "A point of the contact is", _equal_points(finding.free_position, free)
-    body = BODY_NAMES[finding.linear_type.position_body]
+        what, others = "A point of the contact is", _equal_points(found.linear.free_position, free)
+    body = BODY_NAMES[found.linear.frame_type.position_body]
     size = "" if spread is None else _within(1e3 * _largest(spread.position), "mm")
-    line = f"{what} {format_vector(finding.position, 4)} m in the {body}{size}."
+    line = f"{what} {format_vector(found.linear.position, 4)} m in the {body}{size}."
     if spread is not None and float(np.asarray(spread.inflation)[..., 2]) > _SLOW:
         line += " This error comes mainly from slow errors, such as tracker drift."
     return f"{line} {others}".rstrip()
@@ -212,35 +173,35 @@ def _equal_points(projector: np.ndarray, free: int) -> str:
     return f"Any point of the plane through it perpendicular to {direction} is equally valid."
 
 
-def _direction(finding: Finding, spread: Spread | None) -> str:
+def _direction(found: Any, spread: Spread | None) -> str:
     """State the direction of the single free or single constrained axis: of rotation, else of translation."""
-    turns, slides = int(finding.angular_dof.sum()), int(finding.linear_dof.sum())
-    if finding.universal is not None:
-        first, second = (format_vector(axis, 3) for axis in finding.universal)
+    turns, slides = int(found.angular.dof.sum()), int(found.linear.dof.sum())
+    if np.isfinite(found.universal_axes).all():
+        first, second = (format_vector(axis, 3) for axis in found.universal_axes)
         return f"It turns about the directions {first} in the ground and {second} in the body."
     if turns in (1, 2):
-        axes, index = finding.angular_axes, 2 if turns == 1 else 0
+        axes, index = np.asarray(found.angular.axes), 2 if turns == 1 else 0
         what = "It turns about" if turns == 1 else "It does not turn about"
-        body, covariance = finding.angular_type, None if spread is None else spread.angular_axes
+        body, covariance = found.angular.frame_type, None if spread is None else spread.angular_axes
     elif slides in (1, 2):
-        axes, index = finding.linear_axes, 2 if slides == 1 else 0
+        axes, index = np.asarray(found.linear.axes), 2 if slides == 1 else 0
         what = "It slides along" if slides == 1 else "The plane is perpendicular to"
-        body = finding.linear_type.orientation_body
+        body = found.linear.frame_type.orientation_body
         covariance = None if spread is None else spread.linear_axes
     else:
         return ""
     size = "" if covariance is None else _within(np.degrees(_largest(covariance)), "degrees")
     line = f"{what} the direction {format_vector(axes[:, index], 3)} in the {BODY_NAMES[body]}{size}."
-    if np.isfinite(finding.pitch):
-        lead, hand = 2e3 * np.pi * abs(finding.pitch), "right" if finding.pitch > 0 else "left"
+    if np.isfinite(found.pitch):
+        lead, hand = 2e3 * np.pi * abs(found.pitch), "right" if found.pitch > 0 else "left"
         line += f" One turn moves the body {lead:.3g} mm along the axis; the thread is {hand}-handed."
     return line
 
 
-def _still_open(finding: Finding, tested: Tested | None) -> list[str]:
+def _still_open(found: Any, tested: Tested | None) -> list[str]:
     """State what the motion does not determine, and which motion to record; at most two lines."""
     doubts, advice, path = [], [], ""
-    turns, slides = int(finding.angular_dof.sum()), int(finding.linear_dof.sum())
+    turns, slides = int(found.angular.dof.sum()), int(found.linear.dof.sum())
     if tested is not None and int(tested.motions) == 1:
         path = (
             "The motion covered a single path; if the mechanism is not a hinge, drawer or screw, "
@@ -256,18 +217,18 @@ def _still_open(finding: Finding, tested: Tested | None) -> list[str]:
         number = int(tested.motions)
         doubts.append(f"only {number} of {int(tested.free)} free axes moved independently")
         advice.append("move along one axis after the other")
-    if not finding.named and 0 < turns < 3:
-        axis = format_vector(finding.angular_axes[:, 0], 2)
-        body = BODY_NAMES[finding.angular_type]
+    if found.entry is None and 0 < turns < 3:
+        axis = format_vector(np.asarray(found.angular.axes)[:, 0], 2)
+        body = BODY_NAMES[found.angular.frame_type]
         doubts.append(f"the body did not turn about the direction {axis} in the {body}")
         advice.append("try to turn the body about this direction")
-    elif not finding.named and 0 < slides < 3:
-        axis = format_vector(finding.linear_axes[:, 0], 2)
-        body = BODY_NAMES[finding.linear_type.orientation_body]
+    elif found.entry is None and 0 < slides < 3:
+        axis = format_vector(np.asarray(found.linear.axes)[:, 0], 2)
+        body = BODY_NAMES[found.linear.frame_type.orientation_body]
         doubts.append(f"the body did not slide along the direction {axis} in the {body}")
         advice.append("try to push the body along this direction")
-    if finding.rivals:
-        doubts.append(_unclear_bodies(finding))
+    if unclear := _unclear_bodies(found):
+        doubts.append(unclear)
         advice.append("turn the body further while it moves")
     if not advice:
         return []
@@ -277,9 +238,12 @@ def _still_open(finding: Finding, tested: Tested | None) -> list[str]:
     return [f"{path} Not determined: {'; '.join(doubts[:2])}.".lstrip(), f"To decide, {listed}."]
 
 
-def _unclear_bodies(finding: Finding) -> str:
-    """State whether the tied linear types disagree on the body of the axes or of the origin."""
-    kinds = [finding.linear_type, *(LinearType[name] for name in finding.rivals)]
+def _unclear_bodies(found: Any) -> str:
+    """State whether the tied linear types disagree on the body of the axes or of the origin; else empty."""
+    own, entry = found.linear.frame_type, found.entry
+    kinds = [own, *(kind for kind in LinearType if found.linear.tied[kind] and kind != own)]
+    if len(kinds) == 1 or not found.linear.dof.any() or (entry is not None and entry.linear_type is None):
+        return ""
     unclear = [("the axes of translation", {kind.orientation_body for kind in kinds})]
     unclear.append(("the point", {kind.position_body for kind in kinds}))
     parts = [part for part, bodies in unclear if len(bodies) > 1]

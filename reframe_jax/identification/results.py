@@ -17,9 +17,8 @@ from reframe_jax.compilation import index_leaves
 from reframe_jax.constraints.catalogue import Constraint, describe
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, Dof, LinearType
-from reframe_jax.geometry import rotations
 from reframe_jax.identification.cautions import caution_sentences
-from reframe_jax.identification.explanation import Finding, Spread, Tested, explain_finding
+from reframe_jax.identification.explanation import Spread, Tested, explain_window
 from reframe_jax.identification.frames import (
     AllCandidates,
     AngularFrame,
@@ -190,14 +189,15 @@ class Identification:
         position, rotation = float(self.noise.position), float(self.noise.rotation)
         known = position > 0 and rotation > 0
         lever = float(np.clip(position / rotation, *_LEVERS)) if known else _USUAL_LEVER
+        pitch, universal = float(self.pitch), np.asarray(self.universal_axes, float)
         return fit_joint(
             self.constraint_frame,
             values[counted],
             parent=parent,
             child=child,
             length=lever,
-            pitch=float(self.pitch) if self._is_screw() else None,
-            universal=np.asarray(self.universal_axes, float) if self._is_universal() else None,
+            pitch=pitch if np.isfinite(pitch) else None,
+            universal=universal if np.isfinite(universal).all() else None,
         )
 
     def explain(self, covariance: Spread | None = None, excitation: Tested | None = None) -> str:
@@ -219,36 +219,7 @@ class Identification:
         host = jax.tree.map(np.asarray, self)
         if host.status.failed:
             return str(host.name)
-        kind, linear, entry = host.linear.frame_type, host.linear, host.entry
-        matters = sum(_dof(linear.dof)) > 0 and (entry is None or entry.linear_type is not None)
-        tied = [str(t) for t in LinearType if matters and linear.tied[t] and t != kind]
-        finding = Finding(
-            name=host.name,
-            probability=host.probability,
-            named=entry is not None,
-            angular_type=host.angular.frame_type,
-            linear_type=kind,
-            angular_dof=host.angular.dof,
-            linear_dof=linear.dof,
-            angular_axes=np.asarray(rotations.rotation_exp(host.angular.rotvec)),
-            linear_axes=np.asarray(rotations.rotation_exp(linear.rotvec)),
-            angular_amplitude=host.angular.amplitude,
-            linear_amplitude=linear.amplitude,
-            position=linear.position,
-            free_position=linear.free_position,
-            rivals=tuple(tied),
-            pitch=float(host.pitch),
-            universal=host.universal_axes if host._is_universal() else None,
-        )
-        return explain_finding(finding, covariance, excitation)
-
-    def _is_screw(self) -> bool:
-        """Whether the constraint of a single window is a screw joint."""
-        return bool(np.isfinite(self.pitch))
-
-    def _is_universal(self) -> bool:
-        """Whether the constraint of a single window is a universal joint."""
-        return bool(np.all(np.isfinite(self.universal_axes)))
+        return explain_window(host, covariance, excitation)
 
 
 def _dof(dof: jax.Array) -> Dof:
