@@ -81,6 +81,14 @@ def in_float64() -> bool:
     return bool(jax.dtypes.canonicalize_dtype(np.float64) == np.float64)
 
 
+def narrow(tree: _T) -> _T:
+    """Round float64 arrays to float32, unless JAX computes in float64 in this thread."""
+    if in_float64():
+        return tree
+    host = jax.device_get(tree)
+    return jax.device_put(jax.tree.map(lambda a: a.astype(np.float32) if a.dtype == np.float64 else a, host))
+
+
 def traced(tree: Any) -> bool:
     """Return whether any array of a pytree is a tracer: the caller is under ``jit``, ``vmap`` or ``grad``."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))

@@ -6,6 +6,7 @@ import pytest
 
 import reframe_jax as rf
 from reframe_jax.identification import online
+from reframe_jax.identification.options import Options
 from reframe_jax.simulation import synthetic
 
 
@@ -48,7 +49,7 @@ def test_a_refused_pose_is_not_added(recording):
 
 
 def test_a_time_far_in_the_future_does_not_block_the_stream(recording, monkeypatch):
-    monkeypatch.setattr(online, "identify_unchecked", lambda poses, *, times, **_: np.asarray(times))
+    monkeypatch.setattr(online, "identify_unchecked", lambda poses, times, *_: np.asarray(times))
     stream = rf.OnlineIdentifier(5)
     pose = np.asarray(recording.poses)[0]
     for time in (0.0, 0.1, 1e9):
@@ -65,7 +66,7 @@ def test_a_time_far_in_the_future_does_not_block_the_stream(recording, monkeypat
 
 
 def test_times_refused_now_and_then_empty_no_window(recording, monkeypatch):
-    monkeypatch.setattr(online, "identify_unchecked", lambda *_, **__: None)
+    monkeypatch.setattr(online, "identify_unchecked", lambda *_: None)
     stream, pose = rf.OnlineIdentifier(5), np.asarray(recording.poses)[0]
     for time in range(20):
         stream.push(pose, time)
@@ -121,12 +122,13 @@ def test_options_that_there_are_not_are_refused():
 
 
 def test_options_reach_the_identification(recording, monkeypatch):
-    seen = {}
-    monkeypatch.setattr(online, "identify_unchecked", lambda poses, **options: seen.update(options))
+    seen = []
+    monkeypatch.setattr(online, "identify_unchecked", lambda poses, *given: seen.append(given))
     thresholds, solver, key = rf.Thresholds(0.1, 0.2), rf.BasinHopping(rf.ValleySteps(1)), jax.random.key(5)
     options = {"scales": 1, "norm": 1, "thresholds": thresholds, "bounds": 0.5, "solver": solver, "key": key}
     options["assume"] = "hinge"
     stream = rf.OnlineIdentifier(8, dt=0.1, **options)
     for pose in np.asarray(recording.poses)[:8]:
         stream.push(pose)
-    assert seen == {"times": None, "dt": 0.1, "discretization": "chord", **options}
+    assert seen == [(None, 0.1, Options(**options))]
+    assert Options().discretization == "chord"

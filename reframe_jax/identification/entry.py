@@ -13,11 +13,11 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import COMPILER_OPTIONS, in_float64, index_leaves, inside_trace, jit_pair
+from reframe_jax.compilation import COMPILER_OPTIONS, index_leaves, inside_trace, jit_pair, narrow
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
-from reframe_jax.identification.options import Scales, check_bounds, check_options, take_assumed, take_scales
+from reframe_jax.identification.options import Options, Scales, check_options
 from reframe_jax.identification.pipeline import identify_windows
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
@@ -101,19 +101,8 @@ def identify(
     usual = check_exponent(norm) == 0 and solver is None and discretization == "chord"
     if unordered and usual and isinstance(scales, str) and scales == "auto":
         scales = "mean"
-    found = identify_unchecked(
-        array,
-        times=times,
-        dt=dt,
-        scales=scales,
-        assume=assume,
-        norm=norm,
-        discretization=discretization,
-        thresholds=thresholds,
-        bounds=bounds,
-        solver=solver,
-        key=key,
-    )
+    options = Options(scales, assume, norm, discretization, thresholds, bounds, solver, key)
+    found = identify_unchecked(array, times, dt, options)
     if unordered:
         found = replace(found, warning_codes=found.warning_codes | int(Caution.UNORDERED))
     if single_window:
@@ -122,53 +111,40 @@ def identify(
 
 
 def identify_unchecked(
-    poses: ArrayLike,
-    *,
-    times: ArrayLike | None = None,
-    dt: ArrayLike | None = None,
-    scales: Scales = "auto",
-    assume: str | None = None,
-    norm: float = 0.0,
-    discretization: Discretization = "chord",
-    thresholds: Thresholds | None = None,
-    bounds: ArrayLike | None = None,
-    solver: Solver | None = None,
-    key: jax.Array | None = None,
+    poses: ArrayLike, times: ArrayLike | None, dt: ArrayLike | None, options: Options
 ) -> Identification:
     """Identify as :func:`identify` does, without the checks for poses without order and for lost tracking."""
+    _, _, norm, discretization, thresholds, bounds, solver, key = options
     exponent = check_exponent(norm)
     inside_a_trace = inside_trace((poses, times, dt, thresholds, bounds, key))
     array = take_poses(poses)
-    check_options(thresholds, solver, discretization, key)
+    samples, reach, assumed = check_options(options, array.shape[-3])
     wide = not inside_a_trace and not isinstance(array, jax.Array) and array.dtype == np.float64
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = take_steps(array, times, dt)
-        samples = take_scales(scales, array.shape[-3])
         if samples is None and (exponent != 0 or solver is not None or discretization != "chord"):
             samples = (1,)
         dtype = jax.dtypes.canonicalize_dtype(array.dtype)
         level = None if thresholds is None else jax.tree.map(lambda t: jnp.asarray(t, dtype), thresholds)
-        reach = check_bounds(bounds)
         if reach is None and not inside_a_trace:
             reach = np.nan  # the default, so that the program is that of given bounds
-        options = None if reach is None else jnp.asarray(reach, dtype), level, key
+        arrays = None if reach is None else jnp.asarray(reach, dtype), level, key
         run = partial(
             _program_in_trace if inside_a_trace else _program,
             scales=samples,
             exponent=exponent,
             discretization=discretization,
             solver=solver,
-            assume=take_assumed(assume),
+            assume=assumed,
         )
         batch = array.shape[:-3]
         if inside_a_trace or 0 in batch:
-            found = run(array, steps, None, *options)
+            found = run(array, steps, None, *arrays)
         elif not batch:
-            found = index_leaves(_on_host(run, array[None], np.asarray(steps)[None], options), 0)
+            found = index_leaves(_on_host(run, array[None], np.asarray(steps)[None], arrays), 0)
         else:
-            found = _batch(run, array, steps, options)
-    if wide and not in_float64():
-        found = jax.device_put(jax.tree.map(_narrow, jax.device_get(found)))
+            found = _batch(run, array, steps, arrays)
+    found = narrow(found) if wide else found
     if not batch and not inside_a_trace:
         status = Status(int(found.status_code))
         if status.failed:
@@ -289,7 +265,3 @@ def _identify_flat(
 _program, _program_in_trace = jit_pair(
     _identify_flat, ("scales", "exponent", "discretization", "solver", "assume")
 )
-
-
-def _narrow(leaf: np.ndarray) -> np.ndarray:
-    return leaf.astype(np.float32) if leaf.dtype == np.float64 else leaf

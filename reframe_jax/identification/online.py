@@ -1,7 +1,6 @@
 """Identify the constraint of a stream of poses while the robot moves."""
 
 from operator import index
-from typing import Any
 
 import jax
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import ArrayLike
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify_unchecked
 from reframe_jax.identification.inputs import read_number, read_numbers
-from reframe_jax.identification.options import Scales, check_bounds, check_options, take_assumed, take_scales
+from reframe_jax.identification.options import Options, Scales, check_options
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import MIN_VELOCITIES, ROTATION_TOLERANCE, Status, check_step
 from reframe_jax.motion.kinematics import Discretization
@@ -67,21 +66,10 @@ class OnlineIdentifier:
             raise ValueError(f"dt must be a positive number of seconds, not {dt}.")
         if dt is not None:
             check_step(dt)
-        check_options(thresholds, solver, discretization, key)
-        check_bounds(bounds)
-        take_scales(scales, length)
-        take_assumed(assume)
+        options = Options(scales, assume, norm, discretization, thresholds, bounds, solver, key)
+        check_options(options, length)
         self._dt = dt
-        self._options: dict[str, Any] = {
-            "scales": scales,
-            "assume": assume,
-            "norm": check_exponent(norm),
-            "discretization": discretization,
-            "thresholds": thresholds,
-            "bounds": bounds,
-            "solver": solver,
-            "key": key,
-        }
+        self._options = options._replace(norm=check_exponent(norm))
         # poses are written twice, so that the window is always one slice
         self._poses = np.zeros((2 * length, 4, 4))
         self._times = np.zeros(2 * length)
@@ -127,7 +115,7 @@ class OnlineIdentifier:
             return None
         window = slice(slot + 1, slot + 1 + self._length)
         times = None if time is None else self._times[window]
-        return identify_unchecked(self._poses[window], times=times, dt=self._dt, **self._options)
+        return identify_unchecked(self._poses[window], times, self._dt, self._options)
 
     def reset(self) -> None:
         """Remove all poses from the window."""

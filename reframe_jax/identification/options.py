@@ -1,7 +1,7 @@
 """Check the options of ``identify``, and convert them to the form that compiled programs use."""
 
 from collections.abc import Sequence
-from typing import Any, Literal, TypedDict, get_args
+from typing import Any, Literal, NamedTuple, TypedDict, get_args
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +32,19 @@ class IdentifyOptions(TypedDict, total=False):
     solver: Solver | None
     key: jax.Array | None
     assume: str | None
+
+
+class Options(NamedTuple):
+    """The options of :func:`reframe_jax.identify`, with their defaults."""
+
+    scales: Scales = "auto"
+    assume: str | None = None
+    norm: float = 0.0
+    discretization: Discretization = "chord"
+    thresholds: Thresholds | None = None
+    bounds: ArrayLike | None = None
+    solver: Solver | None = None
+    key: jax.Array | None = None
 
 
 def take_scales(scales: Any, poses: int) -> tuple[int, ...] | None:
@@ -77,17 +90,15 @@ def take_assumed(assume: Any) -> tuple[int, ...] | None:
     return codes_of(assume)
 
 
-def check_options(
-    thresholds: Thresholds | None,
-    solver: Solver | None,
-    discretization: Discretization,
-    key: jax.Array | None = None,
-) -> None:
-    """Check the types of thresholds, solver, discretization and key.
+def check_options(options: Options, poses: int) -> tuple[tuple[int, ...] | None, Any, tuple[int, ...] | None]:
+    """Check all options except the norm, and return scales, bounds and assumed codes for programs.
+
+    The number of poses in a window limits the scales.
 
     Raises:
         ValueError: for an invalid option; the message states what is expected.
     """
+    scales, assume, _, discretization, thresholds, bounds, solver, key = options
     if thresholds is not None:
         if not isinstance(thresholds, Thresholds):
             raise ValueError(f"thresholds must be Thresholds(angular=..., linear=...), not {thresholds!r}.")
@@ -102,6 +113,7 @@ def check_options(
         raise ValueError(f"discretization must be 'chord' or 'left', not {discretization!r}.")
     if key is not None and not _is_key(key):
         raise ValueError(f"key must be one key of random numbers, jax.random.key(seed), not {key!r}.")
+    return take_scales(scales, poses), check_bounds(bounds), take_assumed(assume)
 
 
 def _is_key(key: Any) -> bool:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from reframe_jax.compilation import traced
 from reframe_jax.identification.entry import identify_unchecked
 from reframe_jax.identification.inputs import take_steps
+from reframe_jax.identification.options import Options
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
 from reframe_jax.segmentation.bank import best_scores, fit_models, misfit
@@ -185,7 +186,7 @@ def _identify(poses: np.ndarray, times: np.ndarray, reach: float) -> Identificat
     if len(poses) < _FEWEST:
         return None
     try:
-        return identify_unchecked(poses, times=times, bounds=reach)
+        return identify_unchecked(poses, times, None, Options(bounds=reach))
     except ValueError:
         return None
 

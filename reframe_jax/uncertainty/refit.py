@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import in_float64, inside_trace, jit_pair, traced
+from reframe_jax.compilation import inside_trace, jit_pair, narrow, traced
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
 from reframe_jax.geometry.rotations import vee
 from reframe_jax.identification.cautions import Caution
@@ -125,9 +125,7 @@ def over_windows(
             most = _CHUNK.get(jax.default_backend(), 256)
             result = run_in_pieces(run, array, steps, estimate, most, True)
         result = jax.tree.map(lambda leaf: leaf.reshape((*batch, *leaf.shape[1:])), result)
-    if wide and not in_float64():
-        return jax.device_put(jax.tree.map(_narrow, jax.device_get(result)))
-    return result
+    return narrow(result) if wide else result
 
 
 def _run(
@@ -145,10 +143,6 @@ def _run(
 
 
 _program, _program_in_trace = jit_pair(_run, ("function", "scales", "parts"))
-
-
-def _narrow(leaf: Any) -> Any:
-    return leaf.astype(np.float32) if leaf.dtype == np.float64 else leaf
 
 
 def refit_windows(window: Prepared, windows: Windows, scales: tuple[int, ...] | None, parts: str) -> Refit:
