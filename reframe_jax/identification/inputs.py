@@ -159,27 +159,6 @@ def padded_size(count: int) -> int:
     return size
 
 
-def _pad_poses(poses: Any, steps: Any) -> tuple[Any, Any, bool]:
-    """Pad windows to :func:`padded_size` with copies of their last pose and step.
-
-    Args:
-        poses: (..., K+1, 4, 4).
-        steps: (K,) or (..., K) s.
-
-    Returns:
-        Poses, steps, and whether the program needs the number of poses before the padding.
-    """
-    count = poses.shape[-3]
-    fill = padded_size(count) - count
-    if fill:
-        xp = jnp if isinstance(poses, jax.Array) else np
-        poses = xp.concatenate([poses, xp.repeat(poses[..., -1:, :, :], fill, axis=-3)], axis=-3)
-        xp = jnp if isinstance(steps, jax.Array) else np
-        steps = xp.concatenate([steps, xp.repeat(steps[..., -1:], fill, axis=-1)], axis=-1)
-    # a window that needs no padding uses the same program as windows that do
-    return poses, steps, count >= _FEWEST
-
-
 def run_in_pieces(run: Callable[..., Any], poses: Any, steps: Any, others: Any, most: int, pad: bool) -> Any:
     """Compute results for N windows in pieces of equal size, so that few programs are compiled.
 
@@ -193,20 +172,24 @@ def run_in_pieces(run: Callable[..., Any], poses: Any, steps: Any, others: Any, 
         steps: (K,) or (N, K) s.
         others: pytree of arrays with a leading axis (N,).
         most: number of windows in a piece.
-        pad: whether to pad windows to :func:`padded_size`.
+        pad: whether to pad windows to :func:`padded_size`, with copies of their last pose and step.
 
     Returns:
         The results of ``run`` for all windows, concatenated.
     """
     count, length = poses.shape[:2]
-    padded = False
-    if pad:
-        poses, steps, padded = _pad_poses(poses, steps)
+    fill = padded_size(length) - length if pad else 0
+    if fill:
+        xp = jnp if isinstance(poses, jax.Array) else np
+        poses = xp.concatenate([poses, xp.repeat(poses[:, -1:], fill, axis=1)], axis=1)
+        xp = jnp if isinstance(steps, jax.Array) else np
+        steps = xp.concatenate([steps, xp.repeat(steps[..., -1:], fill, axis=-1)], axis=-1)
     size = most if count > _SINGLE else 1
     # windows with equal times and windows with different times use the same program
     xp = jnp if isinstance(steps, jax.Array) else np
     steps = xp.broadcast_to(steps, (count, steps.shape[-1]))
-    lengths = np.full(size, length, np.int32) if padded else None
+    # a window that needs no padding uses the same program as windows that do
+    lengths = np.full(size, length, np.int32) if pad and length >= _FEWEST else None
 
     def run_piece(start: int) -> Any:
         rows = np.minimum(np.arange(start, start + size), count - 1)
