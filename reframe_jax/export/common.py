@@ -15,17 +15,12 @@ TYPES = {"angular": AngularType, "linear": LinearType}
 
 @dataclass(frozen=True)
 class Window:
-    """The part of a recording that a window covers.
+    """The part of a recording that a window covers."""
 
-    Attributes:
-        start, stop: first sample, and the sample after the last one.
-        start_time, stop_time: s, times of the first and the last sample.
-    """
-
-    start: int
-    stop: int
-    start_time: float
-    stop_time: float
+    start: int  # first sample
+    stop: int  # sample after the last one
+    start_time: float  # s, time of the first sample
+    stop_time: float  # s, time of the last sample
 
 
 def split_windows(host: Identification) -> list[Identification]:

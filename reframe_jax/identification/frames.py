@@ -21,15 +21,10 @@ def member(kind: type[IntEnum], code: jax.Array) -> Any:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PoseNoise:
-    """Standard deviation of the white noise in the poses, estimated from the poses.
+    """Standard deviation of the white noise in the poses, estimated from the poses."""
 
-    Attributes:
-        position: (...) m, of every component of the position.
-        rotation: (...) rad, of every component of the orientation.
-    """
-
-    position: jax.Array
-    rotation: jax.Array
+    position: jax.Array  # (...) m, of every component of the position
+    rotation: jax.Array  # (...) rad, of every component of the orientation
 
 
 @jax.tree_util.register_dataclass
@@ -150,12 +145,7 @@ class Candidates:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class AllCandidates:
-    """The best frames of all types.
+    """The best frames of all types."""
 
-    Attributes:
-        angular: frames of the types G and B.
-        linear: frames of the types BB, GB, GG and BG.
-    """
-
-    angular: Candidates
-    linear: Candidates
+    angular: Candidates  # of the types G and B
+    linear: Candidates  # of the types BB, GB, GG and BG

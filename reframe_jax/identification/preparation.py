@@ -19,31 +19,19 @@ Array = jax.Array
 
 
 class Prepared(NamedTuple):
-    """N windows, prepared for the model.
+    """N windows, prepared for the model."""
 
-    Attributes:
-        status: (N,) codes of ``Status``.
-        centre: (N, 3) m, mean position of the recorded poses, which is subtracted from all positions.
-        poses: (N, P, 4, 4) m, relative to ``centre``.
-        counted: (N, P) bool, poses that are neither outliers nor padding.
-        steps: (1, K) or (N, K) durations of the steps, s.
-        count: (N,) number of poses before the padding.
-        noise: (N, 2) m and rad, standard deviation of the white noise of every component.
-        features, moments: features of the poses and their second moments at all scales; see
-            :mod:`reframe_jax.model`.
-        box: (N,) m, half the width of the cube of origins.
-    """
-
-    status: Array
-    centre: Array
-    poses: Array
-    counted: Array
-    steps: Array
+    status: Array  # (N,) codes of ``Status``
+    centre: Array  # (N, 3) m, mean position of the recorded poses, which is subtracted from all positions
+    poses: Array  # (N, P, 4, 4) m, relative to ``centre``
+    counted: Array  # (N, P) bool, poses that are neither outliers nor padding
+    steps: Array  # (1, K) or (N, K) durations of the steps, s
+    # (N,) number of poses before the padding
     count: Array  # type: ignore[assignment]  # tuple.count
-    noise: Array
-    features: Features
-    moments: Moments
-    box: Array
+    noise: Array  # (N, 2) m and rad, standard deviation of the white noise of every component
+    features: Features  # of the poses; see :mod:`reframe_jax.model`
+    moments: Moments  # second moments of the features at all scales
+    box: Array  # (N,) m, half the width of the cube of origins
 
 
 def prepare_windows(

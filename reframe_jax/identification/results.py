@@ -19,13 +19,7 @@ from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, Dof, LinearType
 from reframe_jax.identification.cautions import caution_sentences
 from reframe_jax.identification.explanation import Spread, Tested, explain_window
-from reframe_jax.identification.frames import (
-    AllCandidates,
-    AngularFrame,
-    LinearFrame,
-    PoseNoise,
-    member,
-)
+from reframe_jax.identification.frames import AllCandidates, AngularFrame, LinearFrame, PoseNoise, member
 from reframe_jax.identification.naming import NAME_OF_ENTRY, constraint_of, name_of
 from reframe_jax.joints.fitting import fit_joint
 from reframe_jax.joints.joint import Joint

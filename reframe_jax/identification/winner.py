@@ -21,21 +21,13 @@ KIND_OF_ENTRY = np.array([entry.kind for entry in ENTRIES], np.int32)
 
 
 class Winner(NamedTuple):
-    """The reported entry of the table for a window.
+    """The reported entry of the table for a window."""
 
-    Attributes:
-        code: () code of the entry, or ``NO_ENTRY``.
-        kind: () ``LinearType`` of the frame.
-        name_probability: () probability of its name; NaN with thresholds.
-        parameters: fitted parameters of the entry, differentiable with respect to the moments.
-        probability: (E,) probability of every entry.
-    """
-
-    code: Array
-    kind: Array
-    name_probability: Array
-    parameters: Parameters
-    probability: Array
+    code: Array  # () code of the entry, or ``NO_ENTRY``
+    kind: Array  # () ``LinearType`` of the frame
+    name_probability: Array  # () probability of its name; NaN with thresholds
+    parameters: Parameters  # fitted parameters of the entry, differentiable with respect to the moments
+    probability: Array  # (E,) probability of every entry
 
 
 def winner_of_window(solved: Solved, live: Data) -> Winner:

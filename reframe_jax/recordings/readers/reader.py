@@ -17,17 +17,11 @@ _NEAREST = 3.0  # no body is measured within 3 mm of a tracker, and few beyond 3
 
 @dataclass(frozen=True)
 class Entry:
-    """Data that can be selected in a file.
+    """Data that can be selected in a file."""
 
-    Attributes:
-        option: name of the option that selects the data, such as ``topic``.
-        name: value of this option.
-        detail: a few words about the data: type, count of samples.
-    """
-
-    option: str
-    name: str
-    detail: str
+    option: str  # name of the option that selects the data, such as ``topic``
+    name: str  # value of this option
+    detail: str  # a few words about the data: type, count of samples
 
 
 @dataclass(frozen=True)
