@@ -14,7 +14,7 @@ from typing import Any
 from reframe_jax.calibration.tool import calibrate
 from reframe_jax.cli.outputs import add_outputs, check_outputs, write_document
 from reframe_jax.cli.printing import fail, print_error, print_result
-from reframe_jax.cli.reading import add_reading, expand, read_recording
+from reframe_jax.cli.reading import add_reading, read_recording
 from reframe_jax.export.calibration import SCHEMA, calibration_to_record, calibration_to_table
 from reframe_jax.recordings.recording import RecordingError, is_path
 
@@ -26,7 +26,6 @@ _CONTINUOUS = (
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Add the files and the options of calibration."""
-    command.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recordings")
     command.add_argument("--spin", action="store_true", help="find the axis about which a tool was turned")
     add_outputs(command, plot=False)
     add_reading(command)
@@ -34,7 +33,6 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate the tool of every recording."""
-    options.files = expand(options.files)
     check_outputs(options)
     records = [_calibrate_file(path, options) for path in options.files]
     return write_document(records, SCHEMA, options)

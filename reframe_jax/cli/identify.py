@@ -24,7 +24,7 @@ import numpy as np
 from reframe_jax.cli import arguments
 from reframe_jax.cli.outputs import add_outputs, check_file, check_outputs, draw, path_of, write_document
 from reframe_jax.cli.printing import fail, print_error, print_result
-from reframe_jax.cli.reading import add_reading, expand, read_recording
+from reframe_jax.cli.reading import add_reading, read_recording
 from reframe_jax.export.columns import Columns, to_columns, write_csv, write_parquet
 from reframe_jax.export.common import Window, align_columns
 from reframe_jax.export.json import SCHEMA, to_record
@@ -55,7 +55,6 @@ def add_options(command: argparse.ArgumentParser) -> None:
     """Add the files and the options of identification."""
     defaults = Thresholds()
     add = command.add_argument
-    add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
     add(
         "--scales",
         type=arguments.scales,
@@ -153,13 +152,12 @@ def check_windows(options: argparse.Namespace) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Identify every recording, and write the requested files."""
-    options.files = expand(options.files)
+    check_outputs(options)
     _check_exports(options)
     check_windows(options)
     for name in ("plot", "explain"):
         if getattr(options, name) and options.window is not None:
             options.usage_error(f"--{name} needs a whole recording: remove --window.")
-    check_outputs(options)
     arguments.configure_jax(options.cache)
     records: list[dict[str, Any]] = []
     tables: list[Columns] = []

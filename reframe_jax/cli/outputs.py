@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from reframe_jax.cli.printing import fail, print_result
+from reframe_jax.cli.reading import expand
 from reframe_jax.export.json import to_document
 from reframe_jax.recordings.recording import RecordingError
 
@@ -14,8 +15,9 @@ _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".webp")
 
 
 def add_outputs(command: argparse.ArgumentParser, *, plot: bool = True) -> None:
-    """Add the options ``--json`` and ``--plot`` to a command with ``files``."""
+    """Add the recordings, ``files``, and the options ``--json`` and ``--plot`` to a command."""
     add = command.add_argument
+    add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
     add("--json", metavar="OUT", help="write the results as JSON; - prints them instead of tables")
     if plot:
         add("--plot", type=Path, metavar="OUT.png", help="draw the result; of several files, to OUT-NAME.png")
@@ -23,7 +25,8 @@ def add_outputs(command: argparse.ArgumentParser, *, plot: bool = True) -> None:
 
 
 def check_outputs(options: argparse.Namespace) -> None:
-    """Exit with a usage error if an output cannot be written or drawn, before the computation starts."""
+    """Find the files of patterns, and exit with a usage error if an output cannot be written or drawn."""
+    options.files = expand(options.files)
     if options.json not in (None, "-"):
         check_file("--json", Path(options.json), options)
     out: Path | None = options.plot

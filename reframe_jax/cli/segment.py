@@ -13,7 +13,7 @@ from typing import Any
 from reframe_jax.cli import arguments
 from reframe_jax.cli.outputs import add_outputs, check_outputs, draw, write_document
 from reframe_jax.cli.printing import fail, print_result
-from reframe_jax.cli.reading import add_reading, expand, read_recording
+from reframe_jax.cli.reading import add_reading, read_recording
 from reframe_jax.export.segments import SCHEMA, segments_to_record, segments_to_table
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.segmentation.entry import segment
@@ -21,10 +21,8 @@ from reframe_jax.segmentation.entry import segment
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Add the files and the options of segmentation."""
-    add = command.add_argument
-    add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
     reach = "half the width of the cube about the body in which origins are searched, m (%(default)s)"
-    add("--reach", type=arguments.metres, default=1.0, metavar="M", help=reach)
+    command.add_argument("--reach", type=arguments.metres, default=1.0, metavar="M", help=reach)
     add_outputs(command)
     add_reading(command)
     arguments.add_cache(command)
@@ -32,7 +30,6 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Segment every recording."""
-    options.files = expand(options.files)
     check_outputs(options)
     arguments.configure_jax(options.cache)
     records = [_segment_file(path, options) for path in options.files]
