@@ -28,14 +28,8 @@ def degrees_of_freedom(rms: jax.Array, threshold: jax.Array | float) -> jax.Arra
 
 
 def free_rotations(dof: jax.Array) -> jax.Array:
-    """Return the axes about which a frame can be turned without a change of its constraint.
+    """Return the axes, (..., 3) bool, about which a frame can be turned without a change of its constraint.
 
-    These are the axes whose two other axes are both free or both constrained.
-
-    Args:
-        dof: (..., 3), 1 for each free, 0 for each constrained axis.
-
-    Returns:
-        (..., 3) bool.
+    These are the axes whose two other axes are both free (1) or both constrained (0) in ``dof``, (..., 3).
     """
     return jnp.roll(dof, 1, axis=-1) == jnp.roll(dof, -1, axis=-1)

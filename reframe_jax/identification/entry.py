@@ -1,10 +1,9 @@
 """The main function, ``identify``: check poses and options, run compiled programs, and return the results."""
 
 import contextlib
-import functools
 import warnings
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -168,30 +167,25 @@ def _warn_of_lost_rows(poses: np.ndarray, times: Any) -> None:
 def _on_host(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
     """Identify windows (N, K+1, 4, 4) in pieces of few shapes, so that few programs are compiled."""
     pad = not run.keywords["scales"]  # velocities of single steps must not see the padding
-    found: Identification = run_in_pieces(
-        lambda poses, steps, lengths, _: run(poses, steps, lengths, *options),
-        poses,
-        steps,
-        None,
-        _chunk(),
-        pad,
-    )
+
+    def of_piece(poses: Any, steps: Any, lengths: Any, _: Any) -> Identification:
+        return run(poses, steps, lengths, *options)
+
+    found: Identification = run_in_pieces(of_piece, poses, steps, None, _chunk(), pad)
     return replace(found, counted=jax.lax.slice_in_dim(found.counted, 0, poses.shape[1], axis=1))
 
 
 def _batch(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
     """Identify windows with any leading axes, on the host or on several devices."""
-    if isinstance(poses, jax.Array) and (len(poses.sharding.device_set) > 1 or _is_spread(poses.sharding)):
+    sharding = poses.sharding if isinstance(poses, jax.Array) else None
+    # also over a mesh of one device
+    spread = isinstance(sharding, NamedSharding) and any(axis is not None for axis in sharding.spec)
+    if spread or (sharding is not None and len(sharding.device_set) > 1):
         return _on_mesh(run, poses, steps, options)
     batch = poses.shape[:-3]
     own = steps if steps.ndim == 1 else steps.reshape(-1, steps.shape[-1])
     found = _on_host(run, poses.reshape(-1, *poses.shape[-3:]), own, options)
     return found if len(batch) == 1 else jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
-
-
-def _is_spread(sharding: Any) -> bool:
-    """Whether an axis of an array is distributed over a mesh of devices, also over a mesh of one device."""
-    return isinstance(sharding, NamedSharding) and any(axis is not None for axis in sharding.spec)
 
 
 def _on_mesh(run: Any, poses: jax.Array, steps: Any, options: tuple[Any, ...]) -> Identification:
@@ -210,7 +204,7 @@ def _on_mesh(run: Any, poses: jax.Array, steps: Any, options: tuple[Any, ...]) -
     return program(poses, steps, None, *options)
 
 
-@functools.cache
+@cache
 def _program_for_mesh(mesh: Mesh, axis: Any, own_steps: bool, *static: tuple[str, Any]) -> Any:
     """Compile :func:`_identify_flat` for windows that are distributed over a mesh of devices."""
     whole, part = PartitionSpec(), PartitionSpec(axis)

@@ -61,15 +61,7 @@ def read_numbers(name: str, value: Any) -> Any:
 
 
 def read_number(name: str, value: Any) -> float:
-    """Convert an argument to a single real number.
-
-    Args:
-        name: name of the argument, for messages.
-        value: the argument.
-
-    Raises:
-        ValueError: for an array, or for anything but a real number.
-    """
+    """Convert an argument to a single real number, as :func:`read_numbers`; refuse arrays."""
     number = read_numbers(name, value)
     if number.ndim:
         raise ValueError(f"{name} must be a number, not an array of shape {number.shape}.")

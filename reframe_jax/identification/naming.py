@@ -4,7 +4,7 @@ import numpy as np
 
 from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS, Constraint
 from reframe_jax.constraints.types import LinearType
-from reframe_jax.model.table import ENTRIES, Entry
+from reframe_jax.model.table import ENTRIES
 
 NO_ENTRY = -1
 """Code for degrees of freedom without an entry in the table."""
@@ -19,16 +19,10 @@ def constraint_of(code: int) -> Constraint | None:
 
 def name_of(code: int) -> str:
     """Return the name of an entry, or a description such as "Unnamed: 1 rotation, 2 translations in GB"."""
-    known = constraint_of(code)
-    if known is not None:
-        return known.name
-    return _describe(ENTRIES[code])
-
-
-def _describe(entry: Entry) -> str:
-    """Describe an entry without a name; the type has no effect without rotations or without constraints."""
+    known, entry = constraint_of(code), ENTRIES[code]
+    # the type has no effect without rotations or without constraints
     where = f" in {entry.kind}" if entry.dof[0] and entry.dof[1] < 3 else ""
-    return f"Unnamed: {entry.label}{where}"
+    return f"Unnamed: {entry.label}{where}" if known is None else known.name
 
 
 NAMES = tuple(dict.fromkeys(name_of(code) for code in range(len(ENTRIES))))
@@ -39,9 +33,7 @@ NAME_OF_ENTRY = np.array([NAMES.index(name_of(code)) for code in range(len(ENTRI
 
 SAME_IN_ALL_TYPES = np.array(
     [
-        known.linear_type is None
-        if (known := constraint_of(code))
-        else not _describe(ENTRIES[code])[-2:].isupper()
+        known.linear_type is None if (known := constraint_of(code)) else not name_of(code)[-2:].isupper()
         for code in range(len(ENTRIES))
     ]
 )

@@ -29,14 +29,8 @@ class OnlineIdentifier:
     Args:
         length: number of poses in the window, K + 1; at least 5.
         dt: time between two poses, s, for streams without times.
-        scales: time scales, as in :func:`reframe_jax.identify`; so are the following arguments.
-        assume: name of a known constraint.
-        norm: exponent of the power mean over the axes.
-        discretization: method to compute a velocity from two poses.
-        thresholds: RMS velocities above which an axis is free.
-        bounds: half the width of the cube in which origins are searched, m.
-        solver: search for the origins with ``scales=1``.
-        key: JAX random key of the solver.
+        scales, assume, norm, discretization, thresholds, bounds, solver, key: options of
+            :func:`reframe_jax.identify`.
 
     Raises:
         ValueError: if the window is too short, if ``dt`` is not positive, or for another invalid option.

@@ -77,19 +77,6 @@ def take_scales(scales: Any, poses: int) -> tuple[int, ...] | None:
     return tuple(sorted(set(values.tolist())))
 
 
-def take_assumed(assume: Any) -> tuple[int, ...] | None:
-    """Return the codes of the entries of the table with an assumed name; None if no name is assumed.
-
-    Raises:
-        ValueError: for an unknown name, or for anything but text.
-    """
-    if assume is None:
-        return None
-    if not isinstance(assume, str):
-        raise ValueError(f"assume must be the name of a constraint, such as 'hinge', not {assume!r}.")
-    return codes_of(assume)
-
-
 def check_options(options: Options, poses: int) -> tuple[tuple[int, ...] | None, Any, tuple[int, ...] | None]:
     """Check all options except the norm, and return scales, bounds and assumed codes for programs.
 
@@ -113,7 +100,10 @@ def check_options(options: Options, poses: int) -> tuple[tuple[int, ...] | None,
         raise ValueError(f"discretization must be 'chord' or 'left', not {discretization!r}.")
     if key is not None and not _is_key(key):
         raise ValueError(f"key must be one key of random numbers, jax.random.key(seed), not {key!r}.")
-    return take_scales(scales, poses), check_bounds(bounds), take_assumed(assume)
+    samples, reach = take_scales(scales, poses), check_bounds(bounds)
+    if not isinstance(assume, str | None):
+        raise ValueError(f"assume must be the name of a constraint, such as 'hinge', not {assume!r}.")
+    return samples, reach, None if assume is None else codes_of(assume)
 
 
 def _is_key(key: Any) -> bool:

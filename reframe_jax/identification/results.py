@@ -7,7 +7,7 @@ for a batch; a code compares equal to its enum member.
 
 from dataclasses import dataclass
 from types import EllipsisType
-from typing import Any, cast
+from typing import Any
 
 import jax
 import numpy as np
@@ -117,9 +117,8 @@ class Identification:
         if code >= 0:
             return name_of(code)
         kind = LinearType(int(np.asarray(self.linear.type_code).ravel()[place]))
-        dof = (np.asarray(x).reshape(-1, 3)[place] for x in (self.angular.dof, self.linear.dof))
-        angular, linear = (cast(Dof, tuple(d.tolist())) for d in dof)
-        return describe(kind, angular, linear)
+        dof = [np.asarray(x).reshape(-1, 3)[place] for x in (self.angular.dof, self.linear.dof)]
+        return describe(kind, _dof(dof[0]), _dof(dof[1]))
 
     @property
     def probability(self) -> Any:
@@ -216,6 +215,6 @@ class Identification:
         return explain_window(host, covariance, excitation)
 
 
-def _dof(dof: jax.Array) -> Dof:
+def _dof(dof: ArrayLike) -> Dof:
     x, y, z = (int(d) for d in np.asarray(dof))
     return x, y, z

@@ -31,11 +31,9 @@ class Winner(NamedTuple):
 
 
 def winner_of_window(solved: Solved, live: Data) -> Winner:
-    """Find the most probable name, its most probable entry, and the fit of this entry.
+    """Find the most probable name of one window, its most probable entry, and the fit of this entry.
 
-    Args:
-        solved: result of the model for one window.
-        live: moments of the window, with respect to which the result is differentiable.
+    The result is differentiable with respect to the moments ``live``.
     """
     probability = jnp.exp(solved.log_probability)
     names = jax.ops.segment_sum(probability, jnp.asarray(NAME_OF_ENTRY), int(NAME_OF_ENTRY.max()) + 1)
@@ -65,11 +63,8 @@ def dof_by_thresholds(types: Types, thresholds: Thresholds) -> tuple[Array, Arra
 def winner_by_thresholds(types: Types, solved: Solved, angular: Array, linear: Array) -> Winner:
     """Choose by the paper's rule: the types with the lowest norms, and their degrees of freedom.
 
-    Args:
-        types: the best frames of all types.
-        solved: result of the model; only its origins are used.
-        angular: (2, 3) degrees of freedom of the angular types, by :func:`dof_by_thresholds`.
-        linear: (4, 3) degrees of freedom of the linear types.
+    The degrees of freedom of the angular types, (2, 3), and of the linear types, (4, 3), are those of
+    :func:`dof_by_thresholds`. Only the start parameters and the origins of ``solved`` are used.
     """
     a, linear_type = (jnp.argmin(norm).astype(jnp.int32) for norm in (types.angular_norm, types.linear_norm))
     r, t = jnp.sum(angular[a]), jnp.sum(linear[linear_type])
