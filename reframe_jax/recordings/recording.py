@@ -27,19 +27,16 @@ class RecordingError(ValueError):
 class LeftOut:
     """Rows of a file that are not in the recording.
 
-    Attributes:
-        rows: (N,) int, numbers of the rows, counted as in :attr:`Recording.rows`.
-        reason: one word: "missing" (a number is missing), "untracked" (the system reports it, or writes
-            zeros), "origin", "identity", "constant", "frozen" or "end" (tracking was lost, see
-            :func:`reframe_jax.recordings.lost.find_lost_poses`), "repeated" (equals the previous row),
-            "equal_time" (another pose at the same time), "far" (too distant from the other positions),
-            "relative" (the other body was not tracked), "outlier" (read, but left out of an identification).
-        why: the reason in words.
+    The reason is one word: "missing" (a number is missing), "untracked" (the system reports it, or writes
+    zeros), "origin", "identity", "constant", "frozen" or "end" (tracking was lost, see
+    :func:`reframe_jax.recordings.lost.find_lost_poses`), "repeated" (equals the previous row), "equal_time"
+    (another pose at the same time), "far" (too distant from the other positions), "relative" (the other body
+    was not tracked), "outlier" (read, but left out of an identification).
     """
 
-    rows: np.ndarray
+    rows: np.ndarray  # (N,) int, numbers of the rows, counted as in :attr:`Recording.rows`
     reason: str
-    why: str
+    why: str  # the reason in words
 
 
 @dataclass(frozen=True, eq=False)

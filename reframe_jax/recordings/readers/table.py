@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from reframe_jax.recordings.readers import units
 from reframe_jax.recordings.readers.columns import OPTIONS, find_columns, set_poses
 from reframe_jax.recordings.readers.lines import (
     Lines,
@@ -18,14 +19,6 @@ from reframe_jax.recordings.readers.lines import (
     trim,
 )
 from reframe_jax.recordings.readers.reader import Reader
-from reframe_jax.recordings.readers.units import (
-    ANGLE_WORDS,
-    LENGTH_WORDS,
-    TIME_WORDS,
-    plain_name,
-    split_unit,
-    units_of_row,
-)
 from reframe_jax.recordings.recording import HEADER, RecordingError, Rows, listed, shown
 from reframe_jax.recordings.selection import Selection, flag
 
@@ -53,8 +46,8 @@ class _Header:
 
     def __init__(self, path: Path, titles: list[str], body: str | None) -> None:
         self.path, self.titles = path, titles
-        self.names, self.units = ([*each] for each in zip(*map(split_unit, titles), strict=True))
-        self.body = None if body is None else split_unit(body)[0]
+        self.names, self.units = ([*each] for each in zip(*map(units.split_unit, titles), strict=True))
+        self.body = None if body is None else units.split_unit(body)[0]
         if self.body is not None and not any(self.body in name for name in self.names):
             raise RecordingError(
                 f"{path}: no column has {shown(str(body), 60)!r} in its name, {flag('body')}; columns: "
@@ -134,15 +127,15 @@ def read_table(path: Path, wanted: Selection) -> Rows:
     if frame is not None:
         rows.count_frames()
     elif isinstance(time, int):
-        rows.seconds = header.unit([time], TIME_WORDS)
+        rows.seconds = header.unit([time], units.TIME_WORDS)
         # rostopic echo -p and EuRoC, in ns
         known = any(name.startswith(("field_", "p_rs_r_")) for name in header.names)
         if rows.seconds is None and known and abs(float(rows.origin or 0)) > _SINCE_1970:
             rows.seconds = 1e-9
-    rows.metres = header.unit(position, LENGTH_WORDS)
+    rows.metres = header.unit(position, units.LENGTH_WORDS)
     if not named and len(orientation) == 4 and orientation[3] == min(orientation):
         rows.order = "wxyz"
-    stated = header.unit(orientation, ANGLE_WORDS) if len(orientation) == 3 else None
+    stated = header.unit(orientation, units.ANGLE_WORDS) if len(orientation) == 3 else None
     numbers = np.split(rows.values, [len(position)], axis=1)
     set_poses(rows, numbers[0], numbers[1], wanted, stated, named)
     return rows
@@ -166,17 +159,17 @@ def _read_header(path: Path) -> tuple[list[str], Lines]:
     headers = [(i, _titles(line, delimiter)) for i, (_, line) in enumerate(before)]
     headers = [(i, titles) for i, titles in headers if len(titles) > 1 and not any(map(is_number, titles))]
     plain = [header for header in headers if before[header[0]][1][0] not in _COMMENT]
-    units = units_of_row(plain[-1][1]) if len(plain) > 1 else None
+    below = units.units_of_row(plain[-1][1]) if len(plain) > 1 else None
     if not headers:
         raise RecordingError(
             f"{path}: line {number}: expected a header such as {HEADER}, or rows of 8 numbers (t x y z qx qy "
             f"qz qw) or 12 (KITTI); found {len(trim(cells))} numbers. Add a header."
         )
-    start, titles = (plain or headers)[-1 if units is None else -2]
+    start, titles = (plain or headers)[-1 if below is None else -2]
     header = [*titles]
-    if units is not None:
+    if below is not None:
         start = plain[-1][0]
-        pairs = zip_longest(titles, units[: len(titles)], fillvalue="")
+        pairs = zip_longest(titles, below[: len(titles)], fillvalue="")
         titles = [f"{title} [{unit}]" if unit else title for title, unit in pairs]
 
     def rows() -> Lines:
@@ -199,7 +192,7 @@ def _titles(line: str, delimiter: str | None) -> list[str]:
 
 def _find_time(header: _Header, first: list[str]) -> int | tuple[int, int] | None:
     """Return the column of the time, or those of seconds and nanoseconds; ``first`` is the first row."""
-    plain = [plain_name(title) for title in header.titles]
+    plain = [units.plain_name(title) for title in header.titles]
     clock = [_matches(pattern, plain) for pattern in _CLOCK]
     if all(len(each) == 1 for each in clock):
         return clock[0][0], clock[1][0]

@@ -14,13 +14,7 @@ from numpy.typing import ArrayLike
 from reframe_jax.compilation import index_leaves
 from reframe_jax.constraints.frame import ConstraintFrame, frame_arrays, move_frame, place_frame
 from reframe_jax.geometry import rotations
-from reframe_jax.simulation.arm.guide import (
-    EXCITATIONS,
-    demonstration_keys,
-    impact_velocity,
-    record,
-    run_guided,
-)
+from reframe_jax.simulation.arm import guide
 from reframe_jax.simulation.arm.imperfections import Imperfections, check_imperfections, compliance_of
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import Steps, rollout_status
@@ -244,8 +238,8 @@ def demonstrate_sequence(
     """
     arm = find_arm(arm)
     each = each_duration(constraints, durations)
-    if not callable(excitation) and excitation not in EXCITATIONS:
-        raise ValueError(f"Unknown excitation {excitation!r}; choose from {', '.join(EXCITATIONS)}.")
+    if not callable(excitation) and excitation not in guide.EXCITATIONS:
+        raise ValueError(f"Unknown excitation {excitation!r}; choose from {', '.join(guide.EXCITATIONS)}.")
     if batch < 1:
         raise ValueError(f"batch must be at least 1, not {batch}.")
     if first < 0:
@@ -265,15 +259,15 @@ def demonstrate_sequence(
         own = jax.random.fold_in(key, stage) if stage else key
         truth = scatter(frame_on_arm(constraint, arm, start=joints), own, numbers, joints, spread, arm)
         frame = frame_arrays(truth)
-        velocity = impact_velocity(frame, joints, velocity, arm=arm) if stage else velocity
+        velocity = guide.impact_velocity(frame, joints, velocity, arm=arm) if stage else velocity
         end = jnp.asarray(count * dt - _SETTLE if pause else jnp.inf, dtype=dtype)
-        track = run_guided(frame, own, numbers, joints, velocity, end, imperfections, **options)
+        track = guide.run_guided(frame, own, numbers, joints, velocity, end, imperfections, **options)
         track = jax.tree.map(lambda leaf, stop=count + 1: leaf[:, :stop], track)
         joints, velocity = track.joints[:, -1], track.velocity[:, -1]
         stages.append((track, truth))
     # the common pose of two stages appears once
     path = jnp.concatenate([track.joints[:, i > 0 :] for i, (track, _) in enumerate(stages)], axis=1)
-    poses, exact = record(path, key, numbers, imperfections, arm=arm)
+    poses, exact = guide.record(path, key, numbers, imperfections, arm=arm)
     times, compliance = dt * jnp.arange(path.shape[1], dtype=dtype), compliance_of(imperfections, dtype)
     done = []
     for (track, truth), (a, b) in zip(stages, pairwise(np.cumsum([0, *counts]).tolist()), strict=True):
@@ -326,7 +320,7 @@ def scatter(
     frame = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (batch, 3)), frame)
     if not any(np.ravel(spread)):
         return frame
-    keys, dtype = demonstration_keys(key, numbers)[:, 0], joints.dtype
+    keys, dtype = guide.demonstration_keys(key, numbers)[:, 0], joints.dtype
     random = jax.vmap(lambda key: jax.random.normal(key, (2, 3), dtype))(keys)
     turn, shift = jnp.moveaxis(jnp.asarray(spread, dtype=dtype)[None, :, None] * random, 1, 0)
     return move_frame(frame, rotations.rotation_exp(turn), shift, forward_kinematics(joints, arm)[0])
