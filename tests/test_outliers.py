@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
 import reframe_jax as rf
@@ -47,6 +48,24 @@ def shift(poses, samples, distance):
     spoilt = poses.copy()
     spoilt[samples, :3, 3] += np.array([0.0, 0.6, 0.8]) * distance
     return spoilt
+
+
+def test_a_gap_in_a_fast_turn_is_filled_by_the_same_turn():
+    times = DT * np.arange(POSES)
+    angle = 1.5 * np.sin(2 * times)
+    axis, arm = np.array([0.48, 0.6, 0.64]), np.array([0.3, -0.2, 0.1])
+    turns = Rotation.from_rotvec(angle[:, None] * axis)
+    exact = np.tile(np.eye(4), (POSES, 1, 1))
+    exact[:, :3, :3], exact[:, :3, 3] = turns.as_matrix(), turns.apply(arm)
+    spoilt = exact
+    for sample in range(36, 42):
+        spoilt = shift(spoilt, [sample], 0.5 * (-1) ** sample)
+    filled, counted = repair(spoilt[None], times[None], np.array([POSES]))
+    assert list(np.flatnonzero(~np.asarray(counted[0]))) == list(range(36, 42))
+    rotation, position = np.asarray(filled[0, :, :3, :3]), np.asarray(filled[0, :, :3, 3])
+    np.testing.assert_allclose(rotation @ axis, np.tile(axis, (POSES, 1)), atol=1e-9)
+    np.testing.assert_allclose(position, rotation @ arm, atol=1e-9)
+    np.testing.assert_allclose(rotation, exact[:, :3, :3], atol=0.02)
 
 
 @pytest.mark.parametrize("samples", [[30], [12, 13], [3, 28, 29, 45], [1], [49]], ids=str)
@@ -108,10 +127,8 @@ def test_what_is_left_out_is_filled_in(poses):
     assert np.all(counted[1])
     np.testing.assert_array_equal(filled[1], poses)
     np.testing.assert_array_equal(filled[0, :20], poses[:20])
-    step = np.linalg.inv(poses[19]) @ poses[22]
-    rotation = Rotation.from_rotvec(Rotation.from_matrix(step[:3, :3]).as_rotvec() / 3)
-    np.testing.assert_allclose(filled[0, 20, :3, :3], poses[19, :3, :3] @ rotation.as_matrix(), atol=1e-3)
-    np.testing.assert_allclose(filled[0, 20, :3, 3], (2 * poses[19] + poses[22])[:3, 3] / 3, atol=1e-12)
+    third = poses[19] @ expm(logm(np.linalg.inv(poses[19]) @ poses[22]) / 3)
+    np.testing.assert_allclose(filled[0, 20], third, atol=1e-9)
 
 
 def test_a_jump_in_one_window_changes_no_other():

@@ -53,6 +53,19 @@ def on_universal(rng):
     return poses, (outer.apply([1, 0, 0]), inner.inv().apply([0, 1, 0]))
 
 
+def on_wide_universal(rng):
+    """Poses on a universal joint that turns by more than half a turn about each axis."""
+    part = TIMES / TIMES[-1]
+    step = 10 * part**3 - 15 * part**4 + 6 * part**5
+    angles = []
+    for sign in (1, rng.choice([-1, 1])):
+        rate, phase = rng.uniform(1, 3), rng.uniform(0, 6)
+        angles.append(3.3 * sign * step + 0.33 * np.sin(2 * np.pi * rate * part + phase))
+    turns = [np.outer(angle, axis) for angle, axis in zip(angles, ([1, 0, 0], [0, 1, 0]), strict=True)]
+    rotation = Rotation.from_rotvec(turns[0]) * Rotation.from_rotvec(turns[1])
+    return with_noise(rng, rotation, -rotation.apply([0.1, 0.05, -0.08]))
+
+
 def on_distant_plane(rng):
     """Poses of a body of which a point stays on a plane, and that point in the body."""
     tip = rng.normal(size=3)
@@ -116,6 +129,12 @@ def test_outputs_give_the_pitch(found):
     (window,) = json.loads(rf.to_json(one))["recordings"][0]["windows"]
     assert (window["name"], window["label"], window["pitch"]) == ("Screw joint", "screw", float(one.pitch))
     np.testing.assert_array_equal(to_columns(found)["pitch_m_rad"], found.pitch)
+
+
+def test_universal_joints_with_large_rotations_are_named():
+    rng = np.random.default_rng(0)
+    found = rf.identify(np.stack([on_wide_universal(rng) for _ in range(36)]), dt=DT)
+    assert np.mean(found.name == "Universal joint") >= 0.9
 
 
 def test_a_universal_joint_is_named_with_its_axes(made, found):

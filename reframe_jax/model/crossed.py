@@ -12,10 +12,35 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.geometry.small import largest, normalize, solve_positive, times, total
+from reframe_jax.geometry.small import largest, materialize, normalize, solve_positive, times, total
 
 Array = jax.Array
 _APART = 3.0  # penalty on the squared cosine of the mean angle, per independent detail
+
+
+def promising_pairs(
+    forms: Array, details: Array, mean: Array, ground: Array, body: Array
+) -> tuple[Array, Array]:
+    """Choose, from nine pairs of axes, the three with the lowest objective: a (3, 3, N) and b (3, 3, N).
+
+    Args:
+        forms: (3, 3, 3, 3, S, N) moments of R, entry by entry.
+        details: (S, N) number of independent details of each scale.
+        mean: (3, 3, N) mean rotation.
+        ground: (3, 3, N) axes of the ground, as columns.
+        body: (3, 3, N) axes of the body, as columns.
+    """
+    of_ground = materialize(total(forms[:, :, :, :, None] * ground[:, None, None, None, :, None], 0))
+    of_ground = materialize(total(of_ground * ground[:, None, :, None], 1))  # (j, l, a, S, N)
+    half = total(of_ground[:, :, :, None] * body[:, None, None, :, None], 0)
+    size = total(half * body[:, None, :, None], 0) + jnp.finfo(forms.dtype).tiny ** 0.5
+    cosine = times(jnp.swapaxes(ground, 0, 1), times(mean, body))
+    value = total(details * jnp.log(size), 2) + _APART * total(details, 0) * cosine * cosine
+    best = jax.lax.top_k(-value.reshape(9, -1).T, 3)[1].T
+    first, second = (
+        jnp.take_along_axis(v, i[None], axis=1) for v, i in ((ground, best // 3), (body, best % 3))
+    )
+    return first, second
 
 
 def crossed_axes(

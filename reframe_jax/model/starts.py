@@ -12,7 +12,7 @@ import numpy as np
 from reframe_jax.constraints.types import AngularType
 from reframe_jax.geometry.small import cross, diagonalize, normalize, times, total, trace
 from reframe_jax.model import features as z
-from reframe_jax.model.crossed import crossed_axes
+from reframe_jax.model.crossed import crossed_axes, promising_pairs
 from reframe_jax.model.rows import rotation_forms
 from reframe_jax.model.steps import Unknowns
 from reframe_jax.model.table import ENTRIES, TABLE
@@ -104,12 +104,13 @@ def universal_axes(axes: Axes, products: Array, details: Array, mean: Array) -> 
         details: (S, N) independent details of every scale.
         mean: (3, 3, N) mean rotation.
     """
-    forms = rotation_forms(products)[:, :, :, :, :, None]
+    forms = rotation_forms(products)
     ground, body = axes.angular[:, :, AngularType.G], axes.angular[:, :, AngularType.B]
-    a, b = ground[:, np.array([2, 1], np.int32)], body[:, np.array([1, 2], np.int32)]
+    a, b = promising_pairs(forms, details, mean, ground, body)
+    forms = forms[:, :, :, :, :, None]
     a, b, value = crossed_axes(forms, details[:, None], mean[:, :, None], a, b, _CROSS_STEPS)
-    better = value[0] <= value[1]
-    a, b = (jnp.where(better, v[:, 0], v[:, 1]) for v in (a, b))
+    best = jnp.argmin(value, axis=0)[None, None]
+    a, b = (jnp.take_along_axis(v, best, axis=1)[:, 0] for v in (a, b))
     return a, b
 
 

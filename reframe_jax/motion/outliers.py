@@ -7,7 +7,7 @@ also lies far from the extrapolated motion before it and from the extrapolated m
 motion and at corners, the predictions do not agree, so these poses are no outliers. A body that jumps and
 stays at its new place agrees with the motion after the jump.
 
-An outlier does not enter the moments. The motion between the poses beside it is interpolated.
+An outlier does not enter the moments. Between the poses beside it, the twist is constant.
 Arrays have components first, then samples, and windows last.
 """
 
@@ -15,8 +15,9 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from reframe_jax.geometry.small import cross, normalize, total
+from reframe_jax.geometry.small import total
 from reframe_jax.motion.noise import masked_median
+from reframe_jax.motion.paths import move_along, twist_between
 
 __all__ = ["repair_poses"]
 
@@ -71,11 +72,14 @@ def repair_poses(
     counted = jnp.where(fraction <= _MOST, counted, own)
 
     def fill(_: None) -> tuple[Array, Array]:
-        filled = _interpolate(jnp.concatenate([position, rotation.reshape(9, *own.shape)]), times, counted)
-        first = normalize(filled[3:6])
-        second = normalize(filled[6:9] - first * total(first * filled[6:9], 0))
-        rows = jnp.stack([first, second, cross(first, second)])
-        return jnp.where(counted, rotation, rows), jnp.where(counted, position, filled[:3])
+        before, after, part = _beside(times, counted)
+        first, second = (
+            (_at(rotation.reshape(9, *own.shape), place).reshape(rotation.shape), _at(position, place))
+            for place in (before, after)
+        )
+        w, v = twist_between(first, second)
+        turned, moved = move_along(first, part * w, part * v)
+        return jnp.where(counted, rotation, turned), jnp.where(counted, position, moved)
 
     fixed = lax.cond(jnp.any(counted != own), fill, lambda _: (rotation, position), None)
     return *fixed, counted
@@ -141,15 +145,24 @@ def _median_of_five(values: Array) -> Array:
     return jnp.maximum(jnp.minimum(e, jnp.maximum(low, high)), jnp.minimum(low, high))
 
 
-def _interpolate(x: Array, times: Array, counted: Array) -> Array:
-    """Replace components (C, P, N) of poses that are not counted by interpolation between counted poses."""
-    number = x.shape[1]
+def _beside(times: Array, counted: Array) -> tuple[Array, Array, Array]:
+    """Counted poses beside every pose, (P, N) each, and the part of the time between them that has passed."""
+    number = len(times)
     here = jnp.arange(number, dtype=jnp.int32)[:, None]
     before = lax.cummax(jnp.where(counted, here, -1), axis=0)
     after = lax.cummin(jnp.where(counted, here, number), axis=0, reverse=True)
     before, after = jnp.where(before < 0, after, before), jnp.where(after == number, before, after)
     before, after = jnp.clip(before, 0, number - 1), jnp.clip(after, 0, number - 1)
     start, end = (jnp.take_along_axis(times, place, axis=0) for place in (before, after))
-    part = jnp.where(end > start, (times - start) / jnp.where(end > start, end - start, 1), 0)
-    first, second = (jnp.take_along_axis(x, place[None], axis=1) for place in (before, after))
-    return jnp.where(counted, x, first + part * (second - first))
+    return before, after, jnp.where(end > start, (times - start) / jnp.where(end > start, end - start, 1), 0)
+
+
+def _at(x: Array, place: Array) -> Array:
+    return jnp.take_along_axis(x, place[None], axis=1)
+
+
+def _interpolate(x: Array, times: Array, counted: Array) -> Array:
+    """Replace components (C, P, N) of poses that are not counted by interpolation between counted poses."""
+    before, after, part = _beside(times, counted)
+    first = _at(x, before)
+    return jnp.where(counted, x, first + part * (_at(x, after) - first))

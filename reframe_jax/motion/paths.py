@@ -36,17 +36,37 @@ def _logarithm(turn: Array) -> tuple[Array, Array]:
     return w, jnp.where(small, series, closed)
 
 
+def twist_between(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Rotation (3, ...) rad and translation (3, ...) m, in {b}, of the constant twist between two poses.
+
+    A pose is a rotation (3, 3, ...) and a position (3, ...).
+    """
+    back = jnp.swapaxes(first[0], 0, 1)
+    w, factor = _logarithm(times(back, second[0]))
+    shift = times(back, second[1] - first[1])
+    across = cross(w, shift)
+    return w, shift - across / 2 + factor * cross(w, across)
+
+
+def move_along(pose: tuple[Array, Array], w: Array, v: Array) -> tuple[Array, Array]:
+    """Move poses along the constant twist (w, v) of :func:`twist_between`."""
+    unit = jnp.broadcast_to(jnp.eye(3, dtype=w.dtype).reshape(3, 3, *[1] * (w.ndim - 1)), pose[0].shape)
+    columns = jnp.concatenate([unit, v[:, None]], axis=1)
+    turn = jnp.broadcast_to(w[:, None], columns.shape)
+    crossed = cross(turn, columns)
+    x = jnp.sqrt(total(w * w, 0) + jnp.finfo(w.dtype).tiny ** 0.25)
+    a, b, c = jnp.sin(x) / x, 2 * jnp.square(jnp.sin(x / 2) / x), (x - jnp.sin(x)) / x**3
+    moved = columns + jnp.stack([a, a, a, b]) * crossed + jnp.stack([b, b, b, c]) * cross(turn, crossed)
+    return times(pose[0], moved[:, :3]), pose[1] + times(pose[0], moved[:, 3])
+
+
 def step_twists(rotation: Array, position: Array) -> Array:
     """Logarithms (2, 3, 2, K, N) of the steps between rotations (3, 3, K+1, N) and positions (3, K+1, N), m.
 
     The logarithms are twists times the sample time: rotations (rad) and translations (m), in {b} and in {g}.
     """
-    back = jnp.swapaxes(rotation, 0, 1)[:, :, :-1]
-    w, factor = _logarithm(times(back, rotation[:, :, 1:]))
-    shift = times(back, position[:, 1:] - position[:, :-1])
-    across = cross(w, shift)
-    v = shift - across / 2 + factor * cross(w, across)
     here = rotation[:, :, :-1]
+    w, v = twist_between((here, position[:, :-1]), (rotation[:, :, 1:], position[:, 1:]))
     turned = times(here, w)
     moved = times(here, v) + cross(position[:, :-1], turned)
     return jnp.stack([jnp.stack([w, turned], axis=1), jnp.stack([v, moved], axis=1)])
