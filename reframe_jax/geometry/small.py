@@ -146,7 +146,7 @@ def solve_positive(matrix: Array, vector: Array) -> Array:
     index = jnp.arange(length, dtype=jnp.int32).reshape(-1, *[1] * (vector.ndim - 1))
 
     def at(k: Array, array: Array, axis: int = 0) -> Array:
-        return jax.lax.dynamic_index_in_dim(array, k, axis, keepdims=False)
+        return jax.lax.dynamic_index_in_dim(array, k, axis, keepdims=False, allow_negative_indices=False)
 
     def eliminate(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         matrix, vector = carry

@@ -37,7 +37,7 @@ from reframe_jax.identification.winner import (
     winner_of_window,
 )
 from reframe_jax.model import features as z
-from reframe_jax.model.fit import Data, coordinates, ground_axes
+from reframe_jax.model.fit import Data, coordinates_along, ground_axes
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.solve import Solved
 from reframe_jax.model.table import ENTRIES, LINEAR_KINDS, ROWS, TABLE, entries_at
@@ -192,7 +192,7 @@ def _report_window(
     known, kind = jnp.maximum(code, 0), winner.kind
     bodies = jnp.stack([ground_axes(parameters, mean), parameters.axes])  # by AngularType
     entry = entries_at(known)
-    weights = coordinates(parameters._replace(pitch=jnp.zeros_like(parameters.pitch)), mean, entry)
+    weights = coordinates_along(bodies[0], parameters._replace(pitch=jnp.zeros_like(parameters.pitch)), entry)
     held = entry.held & ~(entry.pitch & (jnp.arange(6) == 5))
     linear_axes = bodies[jnp.asarray(ORIENTATION_BODIES)[kind]][:, entry.column[3:]]
     of_linear = linear_axes, weights[3:], entry.together[3:, 3:], ~held[3:]

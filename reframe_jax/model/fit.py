@@ -77,7 +77,12 @@ def coordinates(parameters: Parameters, mean_rotation: Array, entry: Table) -> A
         mean_rotation: (3, 3) mean rotation of the body, which takes the axes in the body to the ground.
         entry: row of the table of constraints.
     """
-    in_body, in_ground = parameters.axes.T, ground_axes(parameters, mean_rotation).T
+    return coordinates_along(ground_axes(parameters, mean_rotation), parameters, entry)
+
+
+def coordinates_along(axes: Array, parameters: Parameters, entry: Table) -> Array:
+    """Return the matrix of :func:`coordinates` for given axes (3, 3) in the ground, as columns."""
+    in_body, in_ground = parameters.axes.T, axes.T
     directions = jnp.where(entry.ground[:, None], in_ground[entry.column], in_body[entry.column])
     between = (entry.kind == KINDS.index("angle between"))[:, None]
     points = jnp.where(between, in_body[0][None], parameters.origin[None])

@@ -5,6 +5,7 @@ starting parameters; the most probable entries are then fitted and evaluated aga
 have components first, then scales, entries and windows.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -222,7 +223,8 @@ def _compare_entries(
     def next_round(r: Array, rounds: _Evaluated) -> _Evaluated:
         """Screen a block of entries in every round but the last, which fits the most probable entries."""
         found = evaluate(*jax.lax.cond(r < blocks, screen, fit, r, rounds))
-        return jax.tree.map(lambda whole, new: whole.at[r].set(new), rounds, found)
+        put = partial(jax.lax.dynamic_update_index_in_dim, index=r, axis=0, allow_negative_indices=False)
+        return jax.tree.map(put, rounds, found)
 
     first = jax.eval_shape(lambda: evaluate(*screen(jnp.int32(0), None)))  # type: ignore[arg-type]
     rounds = jax.tree.map(lambda leaf: jnp.zeros((blocks + 1, *leaf.shape), leaf.dtype), first)

@@ -109,7 +109,10 @@ def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride:
     def beside(samples: Array) -> Array:
         """Return the poses and times (10, 5, P, N) at 1 to 5 times ``samples`` after every pose."""
         starts = [reach + k * samples for k in range(1, _REACH + 1)]
-        return jnp.stack([lax.dynamic_slice_in_dim(path, start, number, 1) for start in starts], axis=1)
+        parts = [
+            lax.dynamic_slice_in_dim(path, start, number, 1, allow_negative_indices=False) for start in starts
+        ]
+        return jnp.stack(parts, axis=1)
 
     before, after = beside(-stride), beside(stride)
     part = (times - before[9]) / (after[9] - before[9])

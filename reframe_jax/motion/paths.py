@@ -111,8 +111,10 @@ def twist_paths(rotation: Array, position: Array, steps: Array, count: Array | N
 
 def bracket(a: Array, b: Array) -> Array:
     """Return the Lie bracket of twists (2, 3, ...): (wa x wb, wa x vb - wb x va)."""
-    w, v = a[0], a[1]
-    return jnp.stack([cross(w, b[0]), cross(w, b[1]) + cross(v, b[0])])
+    turned, moved, carried = cross(
+        jnp.stack([a[0], a[0], a[1]], axis=1), jnp.stack([b[0], b[1], b[0]], axis=1)
+    ).swapaxes(0, 1)
+    return jnp.stack([turned, moved + carried])
 
 
 def _brackets(means: Array, weights: Array, h: Array) -> Array:
