@@ -104,13 +104,21 @@ def rotate(vector: Array, matrix: Array) -> Array:
     return matrix + 2 * (turned + cross(half, turned)) / (1 + total(half * half, 0))
 
 
-def invert_symmetric(s: Array | Sequence[Array], positive: bool = True) -> tuple[Array, Array]:
-    """Invert symmetric 3x3 matrices, by the decomposition L D L', which is accurate for very small pivots.
+def invert_small(matrix: Array) -> Array:
+    """Invert matrices (3, 3, ...) that are symmetric and not nearly singular, by cofactors."""
+    first, second, third = jax.lax.split(matrix, (1, 1, 1), 1)
+    cofactors = cross(jnp.concatenate([second, third, first], 1), jnp.concatenate([third, first, second], 1))
+    return cofactors / total(first * cofactors[:, :1], 0)
+
+
+def invert_symmetric(s: Array | Sequence[Array]) -> tuple[Array, Array]:
+    """Invert symmetric, positive definite 3x3 matrices, by the decomposition L D L'.
+
+    It is accurate for very small pivots D; pivots below the rounding error of the diagonal are raised to this
+    error.
 
     Args:
         s: six components (...): 11, 12, 13, 22, 23, 33.
-        positive: whether the matrices should be positive definite; pivots D below the rounding error of the
-            diagonal are then raised to this error.
 
     Returns:
         The components (6, ...) of the inverses, and the determinants (...).
@@ -119,7 +127,7 @@ def invert_symmetric(s: Array | Sequence[Array], positive: bool = True) -> tuple
 
     def pivot(value: Array, diagonal: Array) -> Array:
         least = jnp.finfo(value.dtype).eps * diagonal + jnp.finfo(value.dtype).tiny ** 0.5
-        return jnp.maximum(value, least) if positive else value
+        return jnp.maximum(value, least)
 
     a = pivot(a, a)
     l2, l3 = b / a, c / a
@@ -131,9 +139,9 @@ def invert_symmetric(s: Array | Sequence[Array], positive: bool = True) -> tuple
     return jnp.stack([*inverse, i2 + l4 * l4 * i3, -l4 * i3, i3]), a * d2 * d3
 
 
-def inverse_and_determinant(s: Array, positive: bool = True) -> tuple[Array, Array]:
+def inverse_and_determinant(s: Array) -> tuple[Array, Array]:
     """Invert symmetric matrices (3, 3, ...) and compute their determinants, as :func:`invert_symmetric`."""
-    inverse, det = invert_symmetric([s[i, j] for i in range(3) for j in range(i, 3)], positive)
+    inverse, det = invert_symmetric([s[i, j] for i in range(3) for j in range(i, 3)])
     return inverse[np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]], np.int32)], det
 
 

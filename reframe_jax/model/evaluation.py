@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import LinearType
-from reframe_jax.geometry.small import largest, sandwich, times, total, trace
+from reframe_jax.geometry.small import largest, materialize, sandwich, times, total, trace
 from reframe_jax.model import features as z
 from reframe_jax.model.evidence import Amplitudes, Coordinates, Spectra, amplitudes_of, log_evidence
 from reframe_jax.model.features import Features
@@ -136,7 +136,9 @@ def evaluate_entries(
     det = jnp.where(crossed, universal.sine[:, None], det)
     gain = jnp.asarray([0.0, 0, 0, 1, 1, 1], turns.dtype)[:, None, None]
     consistency = total(jnp.log(det + 1e-6), 0) / len(det)
-    coordinates = Coordinates(turns, shifts, mixed, jnp.stack([of_turns, lever]), gain, consistency)
+    coordinates = materialize(
+        Coordinates(turns, shifts, mixed, jnp.stack([of_turns, lever]), gain, consistency)
+    )
     amplitudes = amplitudes_of(coordinates, entries, windows.spectra)
     tilt = jnp.where(entries.tied, jnp.sqrt(total(at.tilt**2, 0) + jnp.finfo(turns.dtype).tiny), 0)
     return amplitudes, log_evidence(amplitudes, tilt, entries, windows.noise)

@@ -12,6 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.geometry.small import materialize
+
 _PART = 4  # two neighbouring blocks, or a block of the smooth part, take less than 1 / _PART of a window
 _FEWEST = 4  # smallest number of details of a scale
 _ROUNDINGS = 16  # rounding errors of the mean square of a feature that are added to its moment
@@ -88,26 +90,25 @@ def scale_moments(
     while h == 1 or _PART * h < poses:
         # a block counts only if at least half of its poses count
         inside = jnp.arange(weight.shape[1]) + h <= number[:, None]  # no block reaches into padding
-        full = (weight >= max(1, h / 2)) & inside
-        block = total / jnp.maximum(weight, 1)[..., None]
+        full = ((weight >= max(1, h / 2)) & inside).astype(dtype)
+        block = total * (full / jnp.maximum(weight, 1))[..., None]
         if 2 * h * _PART < poses or h == 1:
-            both = full[:, h:] & full[:, :-h]
-            detail = jnp.where(both[..., None], block[:, h:] - block[:, :-h], 0)
-            found = jnp.sum(both, axis=1).astype(dtype)
+            both = full[:, h:] * full[:, :-h]
+            found = jnp.sum(both, axis=1)
             fits = (2 * h * _PART < number) & (found >= _FEWEST)
-            products.append(_mean_products(detail, found))
+            products.append(_mean_products((block[:, h:] - block[:, :-h]) * both[..., None], found))
             details.append(jnp.where(fits, found / (2 * h), 0))
             widths.append(jnp.full(len(values), h, dtype))
         # the largest block that fits, which is among the last three where there is padding
         possible = 2 * h * _PART >= poses if count is None else 16 * h * _PART >= poses
         if possible:
-            own = (h * _PART < number) & (2 * h * _PART >= number) if h > 1 else number <= 2 * _PART
-            found = jnp.sum(full, axis=1).astype(dtype)
-            middle = jnp.sum(jnp.where(full[..., None], block, 0), axis=1) / jnp.maximum(found, 1)[:, None]
-            rest = jnp.where(full[..., None], block - middle[:, None], 0)
-            smooth = jnp.where(own[:, None, None], _mean_products(rest, found), smooth)
-            smooth_width = jnp.where(own, h, smooth_width)
-        total, weight = total[:, h:] + total[:, :-h], weight[:, h:] + weight[:, :-h]
+            fits = (h * _PART < number) & (2 * h * _PART >= number) if h > 1 else number <= 2 * _PART
+            found = jnp.sum(full, axis=1)
+            middle = jnp.sum(block, axis=1) / jnp.maximum(found, 1)[:, None]
+            rest = (block - middle[:, None]) * full[..., None]
+            smooth = jnp.where(fits[:, None, None], _mean_products(rest, found), smooth)
+            smooth_width = jnp.where(fits, h, smooth_width)
+        total, weight = materialize(total[:, h:] + total[:, :-h]), weight[:, h:] + weight[:, :-h]
         h *= 2
     used = jnp.sum(counted, axis=1).astype(dtype)
     return Moments(

@@ -23,7 +23,7 @@ import numpy as np
 
 from reframe_jax.geometry.small import (
     diagonalize,
-    inverse_and_determinant,
+    invert_small,
     invert_symmetric,
     largest,
     materialize,
@@ -70,7 +70,7 @@ def polynomials(products: Array, rows: np.ndarray) -> Array:
         halves.append(flat[feature[t, i, one] * width + feature[t, j, other]] * weight)
     half = np.where(_FIRST == _SECOND, 0.5, 1.0)[:, None, None, None]
     values = (halves[0] + halves[1]) * jnp.asarray(half, products.dtype)
-    return materialize(jnp.swapaxes(values, 2, 3)[:, :, :, :, None])
+    return jnp.swapaxes(values, 2, 3)[:, :, :, :, None]
 
 
 def unexplained_covariance(moments: Array, rows: np.ndarray) -> Array:
@@ -180,7 +180,7 @@ def _slope(coefficients: Array, x: Array) -> Array:
             if axis in (a, b)
         ]
         slopes.append(sum(terms[1:], terms[0]))
-    return materialize(jnp.stack(slopes, axis=1))
+    return jnp.stack(slopes, axis=1)
 
 
 def _tangent(coefficients: Array, counts: Array, inverse: Array) -> Array:
@@ -189,12 +189,12 @@ def _tangent(coefficients: Array, counts: Array, inverse: Array) -> Array:
     weights = materialize(inverse * (twice.reshape(6, *[1] * counts.ndim) * counts))
     # one component after the other, so that the data stay in the cache
     q = total(materialize(total(coefficients * weights[:, None], 0)), 1)
-    return materialize(q[_FORM] * jnp.asarray(_HALVES, q.dtype))
+    return q[_FORM] * jnp.asarray(_HALVES, q.dtype)
 
 
 def _solve(matrix: Array, vector: Array) -> Array:
     """Solution (3, ...) of a symmetric system (3, 3, ...)."""
-    return materialize(times(inverse_and_determinant(matrix, positive=False)[0], vector))
+    return times(invert_small(matrix), vector)
 
 
 def _lift(matrix: Array) -> Array:
@@ -251,7 +251,7 @@ def _newton_step(coefficients: Array, counts: Array, box: Array, at: _Point) -> 
     value, slope, tangent, exact = _expand(coefficients, counts, x)
     size = jnp.sqrt(total(total(exact * exact, 0), 0)) + jnp.finfo(x.dtype).tiny
     unit = jnp.eye(3, dtype=size.dtype).reshape(3, 3, *[1] * size.ndim)
-    seen = materialize(sandwich(at.axes, (exact / size + 2 * unit)[:, :, None]))
+    seen = sandwich(at.axes, (exact / size + 2 * unit)[:, :, None])
     axes = materialize(times(at.axes, diagonalize(seen, sweeps=1)))
     most = total(axes * times(tangent, axes), 0)
     least = jnp.finfo(most.dtype).eps * largest(most) + jnp.finfo(most.dtype).tiny
@@ -259,7 +259,7 @@ def _newton_step(coefficients: Array, counts: Array, box: Array, at: _Point) -> 
     curvature = jnp.abs(total(axes * times(exact, axes), 0))
     curvature = jnp.maximum(curvature, dampings * most) + least
     steps = times(axes, total(axes * slope[:, None], 0) / curvature)
-    tried = materialize(jnp.clip(x - steps, -box, box))
+    tried = jnp.clip(x - steps, -box, box)
     values = _norm(coefficients, counts, tried)
     best = jnp.argmin(values, axis=1)[:, None]
     found = jnp.take_along_axis(values, best, axis=1)
@@ -267,4 +267,4 @@ def _newton_step(coefficients: Array, counts: Array, box: Array, at: _Point) -> 
     x = jnp.where(lower, jnp.take_along_axis(tried, best[None], axis=2), x)
     taken = jnp.where(lower, jnp.take_along_axis(dampings, best, axis=1), _TRIALS[-1] * dampings[:, -1:])
     norm = jnp.where(lower, found, value)
-    return materialize(_Point(x, axes, jnp.maximum(taken, _LEAST_DAMPING), norm))
+    return _Point(x, axes, jnp.maximum(taken, _LEAST_DAMPING), norm)

@@ -7,6 +7,7 @@ axis, less h times the rotation about the axis. The objective is sum_s n_s log d
 see :mod:`.fit`.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -17,19 +18,16 @@ from reframe_jax.geometry.small import (
     axial,
     crosses,
     inverse_and_determinant,
-    largest,
     materialize,
     rotate,
     sandwich,
-    solve_positive,
     times,
     total,
     trace,
 )
+from reframe_jax.model.descent import Local, levenberg_marquardt
 
 Array = jax.Array
-_DAMPING = 1e-3  # first damping, as a fraction of the diagonal
-_LONGEST = 0.5  # rad or m, largest component of a step
 
 
 class Unknowns(NamedTuple):
@@ -114,16 +112,8 @@ def path_of(paths: Array, origin: Array) -> tuple[Array, Array]:
     return half, materialize(half[:, 0] + total(half[:, 1:] * x[:, None], 1))
 
 
-class _Local(NamedTuple):
-    """Objective at a point: value (...), gradient (9, ...) and Hessian of the tangent (9, 9, ...)."""
-
-    value: Array
-    gradient: Array
-    hessian: Array
-
-
-def _blocks(problem: Problem, frame: Array, origin: Array) -> tuple[Array, Array, Array, Array]:
-    """Value, gradient and Hessian (6, ...) of the held blocks in rotation and origin."""
+def _blocks(problem: Problem, frame: Array, origin: Array) -> Local:
+    """The objective of the held blocks, in rotation and origin."""
     half, path = path_of(problem.paths, origin)
     forms = materialize(jnp.stack([problem.turns, path], axis=3))  # (3, 3, S, 2, ...)
     held = jnp.stack([problem.held_turns, problem.held_paths], axis=1)
@@ -132,20 +122,17 @@ def _blocks(problem: Problem, frame: Array, origin: Array) -> tuple[Array, Array
     weight = materialize(sandwich(jnp.swapaxes(lanes, 0, 1), inverse))
     # directions turn, the origin moves
     pulled = materialize(total(times(forms, weight), 2, 3))
-    sizes, weights = map(trace, (forms, weight))
+    sizes, weights = materialize((trace(forms), trace(weight)))
     bent = materialize(total(forms * weights + weight * sizes, 2, 3))
     unit = jnp.eye(3, dtype=frame.dtype).reshape(3, 3, *[1] * value.ndim)
-    apart = total(weights * sizes, 0, 1) - trace(pulled)
+    apart = materialize(total(weights * sizes, 0, 1)) - trace(pulled)
     turns = apart * unit + pulled + jnp.swapaxes(pulled, 0, 1) - bent
     on_path = weight[:, :, :, 1]
     ahead = materialize(total(on_path[:, :, None, None] * half[None, :, 1:], 1, 4))  # (k, a, j)
     both = axial(jnp.swapaxes(ahead, 1, 2))
     moves = materialize(total(problem.paths[:, 1:, :, 1:] * on_path[:, None, :, None], 4))
-    gradient = [-axial(pulled), ahead[0, :, 0] + ahead[1, :, 1] + ahead[2, :, 2]]
-    turns, both, moves = materialize((turns, both, total(moves, 0, 2)))
-    top = jnp.concatenate([turns, both], axis=1)
-    bottom = jnp.concatenate([jnp.swapaxes(both, 0, 1), moves], axis=1)
-    return value, jnp.concatenate(gradient), top, bottom
+    gradient = jnp.stack([-axial(pulled), ahead[0, :, 0] + ahead[1, :, 1] + ahead[2, :, 2]], axis=1)
+    return Local(value, gradient, jnp.stack([turns, total(moves, 0, 2)], axis=2), both[:, :, None])
 
 
 def _row(problem: Problem, at: Unknowns) -> tuple[Array, Array, Array]:
@@ -183,56 +170,32 @@ def _row(problem: Problem, at: Unknowns) -> tuple[Array, Array, Array]:
     return value + cost, gradient, hessian + diagonal * bend
 
 
-def _expand(problem: Problem, at: Unknowns) -> _Local:
-    """The objective about a point, in rotation, origin, tilt and pitch."""
-    value, first, top, bottom = _blocks(problem, at.frame, at.origin)
+def _expand(problem: Problem, at: Unknowns) -> Local:
+    """The objective about a point, in rotation, origin, and tilt with pitch."""
+    value, first, blocks, both = _blocks(problem, at.frame, at.origin)
     of_row, second, row = materialize(_row(problem, at))
-    zero = jnp.zeros_like(row[:3, :3])
-    gradient = jnp.concatenate([first[:3] + second[:3], first[3:], second[3:]])
-    rows = [
-        jnp.concatenate([top[:, :3] + row[:3, :3], top[:, 3:], row[:3, 3:]], axis=1),
-        jnp.concatenate([bottom, zero], axis=1),
-        jnp.concatenate([row[3:, :3], zero, row[3:, 3:]], axis=1),
-    ]
-    return materialize(_Local(value + of_row, 2 * gradient, 2 * jnp.concatenate(rows)))
-
-
-def _move(at: Unknowns, step: Array, box: Array) -> Unknowns:
-    return Unknowns(
-        rotate(step[:3], at.frame),
-        jnp.clip(at.origin + step[3:6], -box, box),
-        at.tilt + step[6:8],
-        at.pitch + step[8],
+    turns = (blocks[:, :, 0] + row[:3, :3])[:, :, None]
+    return Local(
+        value + of_row,
+        jnp.stack([first[:, 0] + second[:3], first[:, 1], second[3:]], axis=1),
+        jnp.concatenate([turns, blocks[:, :, 1:], row[3:, 3:, None]], axis=2),
+        jnp.concatenate([both, row[:3, 3:, None]], axis=2),
     )
 
 
 def descend(problem: Problem, start: Unknowns, steps: int) -> Unknowns:
     """Take Levenberg-Marquardt steps."""
-    dtype, lanes = start.frame.dtype, start.pitch.shape
-    small = jnp.finfo(dtype).tiny ** 0.5
-    unit = jnp.eye(9, dtype=dtype).reshape(9, 9, *[1] * len(lanes))
 
-    def step(k: Array, carry: tuple[Unknowns, _Local, Array]) -> tuple[Unknowns, _Local, Array]:
-        at, here, damping = carry
-        stays = k == 0  # the first step does not move: it only expands the objective
-        size = total(here.hessian * unit, 1)
-        lift = damping * size + 1e-9 * largest(size) + small
-        change = -solve_positive(here.hessian + unit * lift[:, None], here.gradient)
-        change = change * jnp.minimum(1, _LONGEST / jnp.maximum(largest(jnp.abs(change)), small))
-        there = materialize(_move(at, materialize(jnp.where(stays, 0, change)), problem.box))
-        new = _expand(problem, there)
-        lower = stays | (new.value < here.value)
-        at, here = jax.tree.map(lambda a, b: jnp.where(lower, a, b), (there, new), (at, here))
-        damping = jnp.clip(jnp.where(lower, damping * 0.1, damping * 10), 1e-7, 1e4)
-        return at, here, jnp.where(stays, _DAMPING, damping)
+    def move(at: Unknowns, step: Array) -> Unknowns:
+        return Unknowns(
+            rotate(step[:, 0], at.frame),
+            jnp.clip(at.origin + step[:, 1], -problem.box, problem.box),
+            at.tilt + step[:2, 2],
+            at.pitch + step[2, 2],
+        )
 
-    nowhere = _Local(
-        jnp.full(lanes, jnp.inf, dtype),
-        jnp.zeros((9, *lanes), dtype),
-        jnp.zeros((9, 9, *lanes), dtype) + unit,
-    )
-    carry = start._replace(tilt=_tangents(start.tilt)), nowhere, jnp.full(lanes, _DAMPING, dtype)
-    at, _, _ = jax.lax.fori_loop(0, steps + 1, step, carry)
+    start = start._replace(tilt=_tangents(start.tilt))
+    at, _ = levenberg_marquardt(partial(_expand, problem), move, start, start.pitch, 3, steps)
     return at._replace(tilt=_angles(at.tilt))
 
 

@@ -1,0 +1,98 @@
+"""Levenberg-Marquardt steps for many small problems at once. Arrays have components first and problems last.
+
+The unknowns of a problem are groups of three; only the first group is coupled with the others. Every step
+eliminates the other groups first, so that no matrix is larger than 3 x 3.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.geometry.small import invert_small, materialize, times, total
+
+Array = jax.Array
+T = TypeVar("T")
+_DAMPING = 1e-3  # first damping, as a fraction of the diagonal
+_LONGEST = 0.5  # rad and m, length of a step
+
+
+class Local(NamedTuple):
+    """An objective about a point, G groups of unknowns.
+
+    Attributes:
+        value: (...) the objective.
+        gradient: (3, G, ...) half its gradient.
+        diagonal: (3, 3, G, ...) half the Hessian of every group.
+        coupling: (3, 3, G - 1, ...) half the Hessian of the first group with every other group.
+    """
+
+    value: Array
+    gradient: Array
+    diagonal: Array
+    coupling: Array
+
+
+def levenberg_marquardt(
+    expand: Callable[[T], Local],
+    move: Callable[[T, Array], T],
+    start: T,
+    like: Array,
+    groups: int,
+    steps: int,
+) -> tuple[T, Array]:
+    """Minimize objectives by Levenberg-Marquardt steps.
+
+    Args:
+        expand: expands the objectives about points.
+        move: moves points by a step (3, groups, ...), rad and m.
+        start: points to start from.
+        like: (...) an array with the shape of the problems.
+        groups: number of groups of unknowns.
+        steps: number of steps.
+
+    Returns:
+        The points with the lowest objective, and this objective (...).
+    """
+    small = jnp.finfo(like.dtype).tiny ** 0.5
+
+    def step(_: Array, carry: tuple[T, Local, Array]) -> tuple[T, Local, Array]:
+        at, here, damping = carry
+        change = _damped_step(here, damping)
+        length = jnp.sqrt(total(change * change, 0, 1) + small)
+        change = change * jnp.minimum(1, _LONGEST / length)
+        there = materialize(move(at, materialize(change)))
+        new = materialize(expand(there))
+        lower = new.value < here.value
+        at, here = jax.tree.map(lambda a, b: jnp.where(lower, a, b), (there, new), (at, here))
+        return at, here, jnp.clip(jnp.where(lower, damping * 0.1, damping * 10), 1e-7, 1e4)
+
+    # the first step has a length of zero: it only expands the objective
+    none = jnp.zeros((3, groups, *like.shape), like.dtype)
+    nowhere = Local(
+        jnp.full_like(like, jnp.inf), none, none + _unit(like)[:, :, None], jnp.stack([none[:, 1:]] * 3)
+    )
+    carry = start, nowhere, jnp.full_like(like, 10 * _DAMPING)
+    at, here, _ = jax.lax.fori_loop(0, steps + 1, step, carry)
+    return at, here.value
+
+
+def _unit(like: Array) -> Array:
+    """Unit matrix (3, 3, ...) for arrays of problems (...)."""
+    return jnp.eye(3, dtype=like.dtype).reshape(3, 3, *[1] * like.ndim)
+
+
+def _damped_step(here: Local, damping: Array) -> Array:
+    unit = _unit(damping)[:, :, None]
+    size = total(here.diagonal * unit, 1)
+    lift = damping * size + 1e-9 * total(size, 0, 1) + jnp.finfo(size.dtype).tiny ** 0.5
+    damped = materialize(here.diagonal + unit * lift[:, None])
+    inverse = materialize(invert_small(damped[:, :, 1:]))
+    back = jnp.swapaxes(here.coupling, 0, 1)
+    shares = materialize(times(here.coupling, inverse))
+    left = damped[:, :, 0] - total(times(shares, back), 2)
+    pull = here.gradient[:, 0] - total(times(shares, here.gradient[:, 1:]), 1)
+    first = materialize(times(invert_small(left), pull))[:, None]
+    rest = times(inverse, here.gradient[:, 1:] - times(back, first))
+    return -jnp.concatenate([first, rest], axis=1)
