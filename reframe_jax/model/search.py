@@ -259,7 +259,7 @@ def _newton_step(coefficients: Array, counts: Array, box: Array, at: _Point) -> 
     curvature = jnp.abs(total(axes * times(exact, axes), 0))
     curvature = jnp.maximum(curvature, dampings * most) + least
     steps = times(axes, total(axes * slope[:, None], 0) / curvature)
-    tried = jnp.clip(x - steps, -box, box)
+    tried = materialize(jnp.clip(x - steps, -box, box))
     values = _norm(coefficients, counts, tried)
     best = jnp.argmin(values, axis=1)[:, None]
     found = jnp.take_along_axis(values, best, axis=1)

@@ -88,7 +88,7 @@ def _twists(
     steps = steps.reshape(-1, number)
     flat = rotation.reshape(3, 3, number + 1, -1), position.reshape(3, number + 1, -1)
     twists = step_twists(*flat) / steps.T if brackets else mean_twists(*flat, steps)
-    body, spatial = jnp.moveaxis(twists, 2, 0).reshape(2, 6, number, *windows)
+    body, spatial = jnp.moveaxis(twists, (2, 1), (0, 1)).reshape(2, 6, number, *windows)
     return body, spatial
 
 

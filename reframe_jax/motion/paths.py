@@ -61,15 +61,15 @@ def move_along(pose: tuple[Array, Array], w: Array, v: Array) -> tuple[Array, Ar
 
 
 def step_twists(rotation: Array, position: Array) -> Array:
-    """Logarithms (2, 3, 2, K, N) of the steps between rotations (3, 3, K+1, N) and positions (3, K+1, N), m.
+    """Logarithms (3, 2, 2, K, N) of the steps between rotations (3, 3, K+1, N) and positions (3, K+1, N), m.
 
     The logarithms are twists times the sample time: rotations (rad) and translations (m), in {b} and in {g}.
     """
     here = rotation[:, :, :-1]
-    w, v = twist_between((here, position[:, :-1]), (rotation[:, :, 1:], position[:, 1:]))
-    turned = times(here, w)
+    w, v = materialize(twist_between((here, position[:, :-1]), (rotation[:, :, 1:], position[:, 1:])))
+    turned = materialize(times(here, w))
     moved = times(here, v) + cross(position[:, :-1], turned)
-    return jnp.stack([jnp.stack([w, turned], axis=1), jnp.stack([v, moved], axis=1)])
+    return jnp.stack([jnp.stack([w, turned], axis=1), jnp.stack([v, moved], axis=1)], axis=1)
 
 
 def mean_twists(rotation: Array, position: Array, steps: Array, count: Array | None = None) -> Array:
@@ -86,7 +86,7 @@ def mean_twists(rotation: Array, position: Array, steps: Array, count: Array | N
         count: (N,) number of poses, 8 or more, if the rest is padding, else None.
 
     Returns:
-        (2, 3, 2, K, N): angular (rad/s) and linear (m/s) velocities, in {b} and in {g}.
+        (3, 2, 2, K, N): angular (rad/s) and linear (m/s) velocities, in {b} and in {g}.
     """
     h = steps.T
     twist = step_twists(rotation, position) / h
@@ -106,19 +106,18 @@ def twist_paths(rotation: Array, position: Array, steps: Array, count: Array | N
         earlier = jnp.pad(path[:, :, :, :-reach], ((0, 0), (0, 0), (0, 0), (reach, 0), (0, 0)))
         path, reach = materialize(path + earlier), 2 * reach
     path = jnp.pad(path, ((0, 0), (0, 0), (0, 0), (1, 0), (0, 0)))
-    return path[0], path[1]
+    return path[:, 0], path[:, 1]
 
 
 def bracket(a: Array, b: Array) -> Array:
-    """Return the Lie bracket of twists (2, 3, ...): (wa x wb, wa x vb - wb x va)."""
-    turned, moved, carried = cross(
-        jnp.stack([a[0], a[0], a[1]], axis=1), jnp.stack([b[0], b[1], b[0]], axis=1)
-    ).swapaxes(0, 1)
-    return jnp.stack([turned, moved + carried])
+    """Return the Lie bracket (wa x wb, wa x vb + va x wb) of twists (3, 2, ...), angular and linear parts."""
+    a, b = materialize((a, b))
+    turned = cross(a[:, :1], b)
+    return jnp.concatenate([turned[:, :1], turned[:, 1:] + cross(a[:, 1:], b[:, :1])], axis=1)
 
 
 def _brackets(means: Array, weights: Array, h: Array) -> Array:
-    """Brackets of mean twists (2, 3, 2, K, N).
+    """Brackets of mean twists (3, 2, 2, K, N).
 
     With a1 = h V, a2 = h^2 V', a3 = h^3 V''/2, a4 = h^4 V'''/6 at the middle of a step of length h, the
     logarithm of the step is, for the spatial twist V (Blanes, Casas, Oteo & Ros 2009),
@@ -168,7 +167,7 @@ def _derivative_weights(steps: Array, count: Array | None) -> Array:
     eye = np.eye(nodes, dtype=bool)[:, :, None, None]
     products = jnp.prod(jnp.where(eye, 1, gaps), axis=1)
     here = nth[:, None, None] == each[:, None] - first  # the node of this step
-    gap = jnp.sum(jnp.where(here[:, None], gaps, 0), axis=0)
+    gap = jnp.sum(jnp.where(here, ends, 0), axis=0) - ends
     own = jnp.sum(jnp.where(here, products, 0), axis=0)
     others = jnp.where(here, 0, own / (products * jnp.where(gap == 0, 1, gap)))
     weights = jnp.where(here, -jnp.sum(others, axis=0), others)
@@ -178,10 +177,10 @@ def _derivative_weights(steps: Array, count: Array | None) -> Array:
 
 
 def _derivative(weights: Array, x: Array) -> Array:
-    """Derivative of samples (2, 3, 2, K, N) with weights of :func:`_derivative_weights`."""
+    """Derivative of samples (3, 2, 2, K, N) with weights of :func:`_derivative_weights`."""
     number = x.shape[3]
     reach = weights.shape[0] // 2
     padded = jnp.pad(x[None], ((0, 0), (0, 0), (0, 0), (0, 0), (reach, reach), (0, 0)))
     each = jax.lax.split(weights[:, None, None, None], (1,) * len(weights))
     terms = [weight * padded[:, :, :, :, j : j + number] for j, weight in enumerate(each)]
-    return sum(terms[1:], terms[0])[0]
+    return materialize(sum(terms[1:], terms[0])[0])

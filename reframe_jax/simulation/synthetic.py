@@ -216,16 +216,16 @@ def _runge_kutta(
         slope, total = carry
         fraction, weight = weights
         x = fraction * h * slope
-        here = twist(t + fraction * h, matmul(pose, transforms.pose_exp(x.ravel()))).reshape(2, 3)
+        here = twist(t + fraction * h, matmul(pose, transforms.pose_exp(x.T.ravel()))).reshape(2, 3).T
         # dx/dt at T exp(x), to the order of the method
         turned = bracket(x, here)
         slope = here + turned / 2 + bracket(x, turned) / 12
         return (slope, total + weight * slope), None
 
-    zero = jnp.zeros((2, 3), dtype=pose.dtype)
+    zero = jnp.zeros((3, 2), dtype=pose.dtype)
     tableau = jnp.asarray([[0, 1 / 6], [1 / 2, 1 / 3], [1 / 2, 1 / 3], [1, 1 / 6]], dtype=pose.dtype)
     (_, slope), _ = jax.lax.scan(stage, (zero, zero), tableau)
-    return matmul(pose, transforms.pose_exp(h * slope.ravel()))
+    return matmul(pose, transforms.pose_exp(h * slope.T.ravel()))
 
 
 @jax.jit
