@@ -104,24 +104,10 @@ def rotate(vector: Array, matrix: Array) -> Array:
     return matrix + 2 * (turned + cross(half, turned)) / (1 + total(half * half, 0))
 
 
-def invert_small(matrix: Array) -> Array:
-    """Invert matrices (3, 3, ...) that are symmetric and not nearly singular, by cofactors."""
-    first, second, third = jax.lax.split(matrix, (1, 1, 1), 1)
-    cofactors = cross(jnp.concatenate([second, third, first], 1), jnp.concatenate([third, first, second], 1))
-    return cofactors / total(first * cofactors[:, :1], 0)
+def _decompose(s: Array | Sequence[Array]) -> tuple[Array, ...]:
+    """Decompose symmetric, positive definite 3x3 matrices into L D L': the pivots D, and L_21, L_31, L_32.
 
-
-def invert_symmetric(s: Array | Sequence[Array]) -> tuple[Array, Array]:
-    """Invert symmetric, positive definite 3x3 matrices, by the decomposition L D L'.
-
-    It is accurate for very small pivots D; pivots below the rounding error of the diagonal are raised to this
-    error.
-
-    Args:
-        s: six components (...): 11, 12, 13, 22, 23, 33.
-
-    Returns:
-        The components (6, ...) of the inverses, and the determinants (...).
+    Pivots below the rounding error of the diagonal are raised to this error.
     """
     a, b, c, d, e, f = s
 
@@ -133,10 +119,33 @@ def invert_symmetric(s: Array | Sequence[Array]) -> tuple[Array, Array]:
     l2, l3 = b / a, c / a
     d2, u = pivot(d - l2 * b, d), e - l3 * b
     l4 = u / d2
-    d3 = pivot(f - l3 * c - l4 * u, f)
+    return a, d2, pivot(f - l3 * c - l4 * u, f), l2, l3, l4
+
+
+def invert_symmetric(s: Array | Sequence[Array]) -> tuple[Array, Array]:
+    """Invert symmetric, positive definite 3x3 matrices, accurately also where they are nearly singular.
+
+    Args:
+        s: six components (...): 11, 12, 13, 22, 23, 33.
+
+    Returns:
+        The components (6, ...) of the inverses, and the determinants (...).
+    """
+    d1, d2, d3, l2, l3, l4 = _decompose(s)
     i2, i3, k = 1 / d2, 1 / d3, l2 * l4 - l3
-    inverse = [1 / a + l2 * l2 * i2 + k * k * i3, -l2 * i2 - k * l4 * i3, k * i3]
-    return jnp.stack([*inverse, i2 + l4 * l4 * i3, -l4 * i3, i3]), a * d2 * d3
+    inverse = [1 / d1 + l2 * l2 * i2 + k * k * i3, -l2 * i2 - k * l4 * i3, k * i3]
+    return jnp.stack([*inverse, i2 + l4 * l4 * i3, -l4 * i3, i3]), d1 * d2 * d3
+
+
+def solve_symmetric(matrix: Array, vectors: Array) -> Array:
+    """Solve symmetric, positive definite systems (3, 3, ...) x = (3, ...) or (3, n, ...)."""
+    parts = jax.lax.split(matrix.reshape(9, *matrix.shape[2:]), (1,) * 9)
+    d1, d2, d3, l2, l3, l4 = _decompose([parts[k] for k in (0, 1, 2, 4, 5, 8)])
+    x, y, z = jax.lax.split(vectors, (1, 1, 1))
+    y = y - l2 * x
+    z = (z - l3 * x - l4 * y) / d3
+    y = y / d2 - l4 * z
+    return jnp.concatenate([x / d1 - l2 * y - l3 * z, y, z])
 
 
 def inverse_and_determinant(s: Array) -> tuple[Array, Array]:

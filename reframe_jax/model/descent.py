@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.geometry.small import invert_small, materialize, times, total
+from reframe_jax.geometry.small import materialize, solve_symmetric, times, total
 
 Array = jax.Array
 T = TypeVar("T")
@@ -88,11 +88,10 @@ def _damped_step(here: Local, damping: Array) -> Array:
     size = total(here.diagonal * unit, 1)
     lift = damping * size + 1e-9 * total(size, 0, 1) + jnp.finfo(size.dtype).tiny ** 0.5
     damped = materialize(here.diagonal + unit * lift[:, None])
-    inverse = materialize(invert_small(damped[:, :, 1:]))
     back = jnp.swapaxes(here.coupling, 0, 1)
-    shares = materialize(times(here.coupling, inverse))
-    left = damped[:, :, 0] - total(times(shares, back), 2)
-    pull = here.gradient[:, 0] - total(times(shares, here.gradient[:, 1:]), 1)
-    first = materialize(times(invert_small(left), pull))[:, None]
-    rest = times(inverse, here.gradient[:, 1:] - times(back, first))
-    return -jnp.concatenate([first, rest], axis=1)
+    others = jnp.concatenate([back, here.gradient[:, None, 1:]], axis=1)  # (3, 4, groups - 1, ...)
+    others = materialize(solve_symmetric(damped[:, :, 1:], others))
+    away = total(times(here.coupling, others), 2)
+    first = solve_symmetric(damped[:, :, 0] - away[:, :3], here.gradient[:, 0] - away[:, 3])
+    first = materialize(first)[:, None]
+    return jnp.concatenate([-first, times(others[:, :3], first) - others[:, 3]], axis=1)

@@ -23,12 +23,12 @@ import numpy as np
 
 from reframe_jax.geometry.small import (
     diagonalize,
-    invert_small,
     invert_symmetric,
     largest,
     materialize,
     sandwich,
     solve_positive,
+    solve_symmetric,
     times,
     total,
     trace,
@@ -152,7 +152,7 @@ def _starts(coefficients: Array, counts: Array, unexplained: Array) -> Array:
     inverse = jnp.broadcast_to(inverse[:, None], (6, *traces.shape[1:]))
     squares = [square[_FORM] * halves for square in (total(traces * (counts > 0), 1), traces[:, -1])]
     forms = jnp.concatenate([_tangent(coefficients, counts, inverse), *squares], axis=3)
-    found = -_solve(_lift(forms[1:, 1:]), forms[1:, 0])
+    found = -solve_symmetric(_lift(forms[1:, 1:]), forms[1:, 0])
     fixed = jnp.asarray(_FIXED_STARTS, coefficients.dtype)[:, None, :, None]
     fixed = jnp.broadcast_to(fixed, (3, found.shape[1], fixed.shape[2], found.shape[3]))
     return jnp.concatenate([found, fixed], axis=2)
@@ -192,11 +192,6 @@ def _tangent(coefficients: Array, counts: Array, inverse: Array) -> Array:
     return q[_FORM] * jnp.asarray(_HALVES, q.dtype)
 
 
-def _solve(matrix: Array, vector: Array) -> Array:
-    """Solution (3, ...) of a symmetric system (3, 3, ...)."""
-    return times(invert_small(matrix), vector)
-
-
 def _lift(matrix: Array) -> Array:
     size = trace(matrix)
     unit = jnp.eye(3, dtype=size.dtype).reshape(3, 3, *[1] * size.ndim)
@@ -206,7 +201,7 @@ def _lift(matrix: Array) -> Array:
 def _tangent_step(coefficients: Array, counts: Array, box: Array, x: Array) -> Array:
     inverse, _ = invert_symmetric(_sigma(coefficients, x))
     form = _tangent(coefficients, counts, inverse)
-    step = _solve(_lift(form[1:, 1:]), form[1:, 0] + times(form[1:, 1:], x))
+    step = solve_symmetric(_lift(form[1:, 1:]), form[1:, 0] + times(form[1:, 1:], x))
     # without motion, every origin is equally good
     return materialize(jnp.clip(x - _RELAX * jnp.where(jnp.isfinite(step), step, 0), -box, box))
 
