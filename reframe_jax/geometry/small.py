@@ -198,11 +198,11 @@ def diagonalize(
     lanes = forms.ndim - 3
     axes = jnp.eye(3, dtype=forms.dtype).reshape(3, 3, *[1] * lanes)
     axes = jnp.broadcast_to(axes, (*forms.shape[:2], *forms.shape[3:]))
-    allowed = jnp.ones(axes.shape, bool) if together is None else jnp.broadcast_to(together, axes.shape)
+    pairs = None if together is None else jnp.stack([together[0, 1], together[1, 2], together[2, 0]])
 
-    def turn(_: int, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def turn(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         """Rotate the first two axes, then put the first one last."""
-        c, v, allowed = carry
+        c, v = carry
         one, two = jnp.maximum(c[0, 0], tiny), jnp.maximum(c[1, 1], tiny)
         gap, w = one - two, (one - two) / (one * two)
         if weights is not None:
@@ -210,15 +210,17 @@ def diagonalize(
         apart, mixed = total(w * gap, 0), 2 * total(w * c[0, 1], 0)
         length = jnp.sqrt(apart * apart + mixed * mixed + jnp.finfo(forms.dtype).tiny)
         tangent = mixed / (apart + length + jnp.finfo(forms.dtype).tiny)
-        tangent = jnp.where(allowed[0, 1], tangent, 0)
+        if pairs is not None:
+            allowed = jax.lax.dynamic_index_in_dim(pairs, k % 3, 0, False, allow_negative_indices=False)
+            tangent = jnp.where(allowed, tangent, 0)
         cosine = 1 / jnp.sqrt(1 + tangent * tangent)
         sine = tangent * cosine
         v = _turn_two(v, cosine, sine)
         c = _turn_two(c, cosine[None], sine[None])
         c = jnp.swapaxes(_turn_two(jnp.swapaxes(c, 0, 1), cosine[None], sine[None]), 0, 1)
-        return c, v, jnp.roll(allowed, (-1, -1), (0, 1))
+        return c, v
 
-    return jax.lax.fori_loop(0, 3 * sweeps, turn, (forms, axes, allowed))[1]
+    return jax.lax.fori_loop(0, 3 * sweeps, turn, (forms, axes))[1]
 
 
 def _turn_two(columns: Array, cosine: Array, sine: Array) -> Array:
