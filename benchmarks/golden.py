@@ -29,6 +29,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -153,35 +154,47 @@ def run(cases: Sequence[Case]) -> tuple[dict[str, Row], dict[str, float], list[s
         batches.setdefault(alike, []).append(case)
     rows: dict[str, Row] = {}
     seconds, notes = dict.fromkeys([case.group for case in cases], 0.0), set()
-    for batch in batches.values():
-        first, single, start = batch[0], batch[0].group == "real", time.perf_counter()
-        options: dict[str, Any] = {"times": first.times} if single else {"dt": float(first.times[1])}
-        paper: dict[str, Any] = {"scales": 1, "thresholds": rf.Thresholds()} if first.paper_settings else {}
-        poses = first.poses if single else np.array([case.poses for case in batch])
-        try:
-            found = rf.identify(poses, **options, **paper)
-        except ValueError as error:
-            if not single:
-                raise
-            row = {"constraint": first.label, "name": f"No result: {error}", "strong": True}
-            rows[first.key] = row | {"right": False if first.expected else None}
-            continue
-        answers = read_answers(found)
-        spent = time.perf_counter() - start
-        for case in batch:
-            seconds[case.group] += spent / len(batch)
-        if not single:
-            print(f"{len(batch)} recordings of {len(first.poses)} poses: {spent:.0f} s", file=sys.stderr)
-        matrices: dict[str, np.ndarray] = {}
-        if not paper and (single or len(first.poses) <= _COVERED):
-            try:
-                matrices = covariance_of(found, poses, **options)
-            except Exception as error:  # an error of the covariance must not stop the comparison of names
-                notes.add(f"No coverage: rf.covariance raised {type(error).__name__}: {error}"[:200])
-        for i, case in enumerate(batch):
-            rows[case.key] = score(case, answers[i], {name: matrix[i] for name, matrix in matrices.items()})
+    # most of the time is compilation, partly on one processor
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for batch, (found, spent, note) in zip(
+            batches.values(), pool.map(_run_batch, batches.values()), strict=True
+        ):
+            rows |= found
+            notes.add(note)
+            for case in batch:
+                seconds[case.group] += spent / len(batch)
     seconds = {group: round(spent, 1) for group, spent in seconds.items()}
-    return {case.key: rows[case.key] for case in cases if case.key in rows}, seconds, sorted(notes)
+    return {case.key: rows[case.key] for case in cases if case.key in rows}, seconds, sorted(notes - {""})
+
+
+def _run_batch(batch: Sequence[Case]) -> tuple[dict[str, Row], float, str]:
+    """Identify recordings of equal length; return rows, seconds, and a note."""
+    first, single, start = batch[0], batch[0].group == "real", time.perf_counter()
+    options: dict[str, Any] = {"times": first.times} if single else {"dt": float(first.times[1])}
+    paper: dict[str, Any] = {"scales": 1, "thresholds": rf.Thresholds()} if first.paper_settings else {}
+    poses = first.poses if single else np.array([case.poses for case in batch])
+    try:
+        found = rf.identify(poses, **options, **paper)
+    except ValueError as error:
+        if not single:
+            raise
+        row = {"constraint": first.label, "name": f"No result: {error}", "strong": True}
+        return {first.key: row | {"right": False if first.expected else None}}, 0.0, ""
+    answers = read_answers(found)
+    spent, note = time.perf_counter() - start, ""
+    if not single:
+        print(f"{len(batch)} recordings of {len(first.poses)} poses: {spent:.0f} s", file=sys.stderr)
+    matrices: dict[str, np.ndarray] = {}
+    if not paper and (single or len(first.poses) <= _COVERED):
+        try:
+            matrices = covariance_of(found, poses, **options)
+        except Exception as error:  # an error of the covariance must not stop the comparison of names
+            note = f"No coverage: rf.covariance raised {type(error).__name__}: {error}"[:200]
+    rows = {
+        case.key: score(case, answers[i], {name: matrix[i] for name, matrix in matrices.items()})
+        for i, case in enumerate(batch)
+    }
+    return rows, spent, note
 
 
 def read_answers(found: Any) -> list[Row]:
