@@ -20,7 +20,7 @@ axes are those of the free rotations, and of the free translations without the p
 rotations.) Errors (median, 90 %) include right names only. ``axis`` is the larger error of the angular and
 the linear axis; ``position`` of a hinge is the distance of the axes at the point nearest to the motion.
 ``inside`` is the fraction of 95 % regions of ``rf.covariance`` that contain the true position, and the true
-axes. Seconds are the run time of ``rf.identify``.
+axes. Seconds are the run time of ``rf.identify``, with recordings on all processors at the same time.
 """
 
 import json

@@ -20,6 +20,7 @@ from benchmarks.uncertainty_doors import (
 )
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.simulation import synthetic
+from reframe_jax.uncertainty.refit import turn_of_frame
 from reframe_jax.uncertainty.spread import widen
 
 EACH = 16
@@ -269,6 +270,16 @@ def test_free_directions_have_no_variance(windows, covariances):
     assert np.all(np.asarray(covariances.angular_axes)[pins] == 0)
     axis = np.asarray(found.angular.axes)[hinges, :, 2:]
     assert np.max(np.abs(covariances.angular_axes[hinges] @ axis)) < 1e-9 * np.max(covariances.angular_axes)
+
+
+@pytest.mark.parametrize("spin", [0.0, 0.5, 2.0])
+def test_frames_turned_about_a_free_axis_are_equal(windows, spin: float):
+    frame = windows[2][EACH].linear  # of a pin: the plane may be turned about its normal
+    axis = np.asarray(frame.axes) @ np.asarray(frame.free_rotation)
+    across = np.cross(axis, [1.0, 2.0, 3.0])
+    across = 0.02 * across / np.linalg.norm(across)
+    turned = rotation_exp(across) @ rotation_exp(spin * axis)
+    np.testing.assert_allclose(turn_of_frame(frame, turned), np.sin(0.02) / 0.02 * across, atol=1e-12)
 
 
 def test_what_is_not_determined_has_a_large_variance(windows, covariances):

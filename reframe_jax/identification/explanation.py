@@ -8,7 +8,9 @@ from reframe_jax.constraints.types import BODY_NAMES, LinearType
 from reframe_jax.joints.joint import format_vector, two_digits
 
 _INTERVAL = 1.96  # half-width of a 95 % interval, in standard deviations
-_SLOW = 2.0  # inflation of error bars above which the text mentions slow errors
+# inflation of error bars above which the text mentions slow errors: most recordings of the golden benchmark
+# with slow errors have more, and one in eight of those with white noise only
+_SLOW = 3.0
 
 _LIKE = {
     "Revolute joint": "The body moves like a door on its hinge: it turns about one axis and does not slide",

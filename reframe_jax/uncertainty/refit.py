@@ -215,11 +215,9 @@ def _fit_window(window: Windows, products: Array, details: Array, poses: Array) 
 
     def numbers(parameters: Parameters) -> Array:
         axes, origin = _frames(parameters, mean, found, entry)
-        turns, shift = vee(axes @ jnp.swapaxes(whole[0], 1, 2)), origin - whole[1]
-        # only rotations that change the constraint
-        angular = (found.angular.axes * ~found.angular.free_rotation) @ found.angular.axes.T @ turns[0]
-        linear = (found.linear.axes * ~found.linear.free_rotation) @ found.linear.axes.T @ turns[1]
-        return jnp.concatenate([angular, linear, shift - found.linear.free_position @ shift])
+        turned, shift = axes @ jnp.swapaxes(whole[0], 1, 2), origin - whole[1]
+        turns = [turn_of_frame(*each) for each in zip((found.angular, found.linear), turned, strict=True)]
+        return jnp.concatenate([*turns, shift - found.linear.free_position @ shift])
 
     def slopes(parameters: Parameters) -> Array:
         return jax.jacfwd(lambda step: numbers(move(parameters, step, box)))(jnp.zeros(9, products.dtype))
@@ -227,6 +225,15 @@ def _fit_window(window: Windows, products: Array, details: Array, poses: Array) 
     prior = jnp.stack([_PRIOR_ANGLE * one] * 3 + [box] * 3 + [_PRIOR_ANGLE * one] * 2 + [_PRIOR_PITCH * one])
     of_parts = jax.vmap(numbers)(parameters), jax.vmap(slopes)(parameters)
     return Refit(parameters, data, *of_parts, poses, entry, prior)
+
+
+def turn_of_frame(frame: Any, turned: Array) -> Array:
+    """Rotation vector (3,), rad, of a small rotation (3, 3), without rotations that leave the constraint."""
+    axes, free = frame.axes, frame.free_rotation
+    axis = axes @ free.astype(axes.dtype)
+    # a rotation about one free axis may be large
+    across = (axes * ~free) @ axes.T @ vee(turned)
+    return jnp.where(jnp.sum(free) == 1, jnp.cross(axis, turned @ axis), across)
 
 
 def _start(found: Estimate, centre: Array, mean: Array, entry: Table) -> Parameters:
