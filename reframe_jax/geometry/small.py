@@ -125,11 +125,7 @@ def _decompose(s: Array | Sequence[Array]) -> tuple[Array, ...]:
 def invert_symmetric(s: Array | Sequence[Array]) -> tuple[Array, Array]:
     """Invert symmetric, positive definite 3x3 matrices, accurately also where they are nearly singular.
 
-    Args:
-        s: six components (...): 11, 12, 13, 22, 23, 33.
-
-    Returns:
-        The components (6, ...) of the inverses, and the determinants (...).
+    The result is the six components 11, 12, 13, 22, 23, 33 of the inverses, (6, ...), and the determinants.
     """
     d1, d2, d3, l2, l3, l4 = _decompose(s)
     i2, i3, k = 1 / d2, 1 / d3, l2 * l4 - l3

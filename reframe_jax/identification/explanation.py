@@ -9,7 +9,7 @@ from reframe_jax.joints.joint import format_vector, two_digits
 
 _INTERVAL = 1.96  # half-width of a 95 % interval, in standard deviations
 # inflation of error bars above which the text mentions slow errors: most recordings of the golden benchmark
-# with slow errors have more, and one in eight of those with white noise only
+# with slow errors have more, and few of those with white noise only
 _SLOW = 3.0
 
 _LIKE = {

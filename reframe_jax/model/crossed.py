@@ -46,18 +46,10 @@ def promising_pairs(
 def crossed_axes(
     forms: Array, details: Array, mean: Array, ground: Array, body: Array, steps: int
 ) -> tuple[Array, Array, Array]:
-    """Fit the two axes of a universal joint.
+    """Fit the two axes of a universal joint, from axes ``ground`` and ``body``, (3, ...).
 
-    Args:
-        forms: (3, 3, 3, 3, S, ...) moments of R, entry by entry.
-        details: (S, ...) number of independent details of each scale.
-        mean: (3, 3, ...) mean rotation.
-        ground: (3, ...) axis a to start from.
-        body: (3, ...) axis b to start from.
-        steps: number of steps.
-
-    Returns:
-        The unit vectors a (3, ...) and b (3, ...), and the objective (...).
+    The other arguments are as in :func:`promising_pairs`. The result is the unit vectors a (3, ...) and b (3,
+    ...), and the objective (...).
     """
     small = jnp.finfo(ground.dtype).tiny ** 0.5
     keep = _APART * total(details, 0)
@@ -89,5 +81,5 @@ def crossed_axes(
     def move(axes: tuple[Array, Array], step: Array) -> tuple[Array, Array]:
         return normalize(axes[0] + step[:, 0]), normalize(axes[1] + step[:, 1])
 
-    (a, b), value = levenberg_marquardt(expand, move, (ground, body), keep + 0 * ground[0], 2, steps)
+    (a, b), value = levenberg_marquardt(expand, move, (ground, body), jnp.zeros_like(ground[0]), 2, steps)
     return a, b, value

@@ -42,18 +42,10 @@ def levenberg_marquardt(
     groups: int,
     steps: int,
 ) -> tuple[T, Array]:
-    """Minimize objectives by Levenberg-Marquardt steps.
+    """Minimize objectives by Levenberg-Marquardt steps; return the best points, and their objectives (...).
 
-    Args:
-        expand: expands the objectives about points.
-        move: moves points by a step (3, groups, ...), rad and m.
-        start: points to start from.
-        like: (...) an array with the shape of the problems.
-        groups: number of groups of unknowns.
-        steps: number of steps.
-
-    Returns:
-        The points with the lowest objective, and this objective (...).
+    ``expand`` expands the objectives about points, and ``move`` moves points by a step (3, groups, ...), rad
+    and m. ``like`` (...) is an array with the shape of the problems.
     """
     small = jnp.finfo(like.dtype).tiny ** 0.5
 

@@ -136,10 +136,8 @@ def evaluate_entries(
     det = jnp.where(crossed, universal.sine[:, None], det)
     gain = jnp.asarray([0.0, 0, 0, 1, 1, 1], turns.dtype)[:, None, None]
     consistency = total(jnp.log(det + 1e-6), 0) / len(det)
-    coordinates = materialize(
-        Coordinates(turns, shifts, mixed, jnp.stack([of_turns, lever]), gain, consistency)
-    )
-    amplitudes = amplitudes_of(coordinates, entries, windows.spectra)
+    coordinates = Coordinates(turns, shifts, mixed, jnp.stack([of_turns, lever]), gain, consistency)
+    amplitudes = amplitudes_of(materialize(coordinates), entries, windows.spectra)
     tilt = jnp.where(entries.tied, jnp.sqrt(total(at.tilt**2, 0) + jnp.finfo(turns.dtype).tiny), 0)
     return amplitudes, log_evidence(amplitudes, tilt, entries, windows.noise)
 
