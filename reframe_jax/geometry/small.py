@@ -5,7 +5,7 @@ on long arrays. Compiled libraries handle many small matrices one by one, which 
 """
 
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -64,6 +64,11 @@ def cross(a: Array, b: Array) -> Array:
     """Return the cross products of vectors (3, ...)."""
     (x, y, z), (u, v, w) = jax.lax.split(a, (1, 1, 1)), jax.lax.split(b, (1, 1, 1))
     return jnp.concatenate([y * w - z * v, z * u - x * w, x * v - y * u])
+
+
+def unit_matrix(dtype: Any, lanes: int) -> Array:
+    """Return the unit matrix (3, 3, 1, ...) for arrays of problems with this number of axes."""
+    return jnp.asarray(np.eye(3), dtype).reshape(3, 3, *[1] * lanes)
 
 
 def trace(matrix: Array) -> Array:
@@ -191,9 +196,7 @@ def diagonalize(
         (3, 3, ...), columns are the axes.
     """
     tiny = jnp.finfo(forms.dtype).tiny ** 0.5
-    lanes = forms.ndim - 3
-    axes = jnp.eye(3, dtype=forms.dtype).reshape(3, 3, *[1] * lanes)
-    axes = jnp.broadcast_to(axes, (*forms.shape[:2], *forms.shape[3:]))
+    axes = jnp.broadcast_to(unit_matrix(forms.dtype, forms.ndim - 3), (3, 3, *forms.shape[3:]))
     pairs = None if together is None else jnp.stack([together[0, 1], together[1, 2], together[2, 0]])
 
     def turn(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.geometry.small import materialize, normalize, times, total, trace
+from reframe_jax.geometry.small import materialize, normalize, times, total, trace, unit_matrix
 from reframe_jax.model.descent import Local, levenberg_marquardt
 
 Array = jax.Array
@@ -53,7 +53,7 @@ def crossed_axes(
     """
     small = jnp.finfo(ground.dtype).tiny ** 0.5
     keep = _APART * total(details, 0)
-    unit = jnp.asarray(np.eye(3), ground.dtype).reshape(3, 3, *[1] * (ground.ndim - 1))
+    unit = unit_matrix(ground.dtype, ground.ndim - 1)
 
     def expand(axes: tuple[Array, Array]) -> Local:
         """Expand the objective about two axes. Changes of their lengths have no slope and no coupling."""

@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.geometry.small import materialize, solve_symmetric, times, total
+from reframe_jax.geometry.small import materialize, solve_symmetric, times, total, unit_matrix
 
 Array = jax.Array
 T = TypeVar("T")
@@ -62,21 +62,15 @@ def levenberg_marquardt(
 
     # the first step has a length of zero: it only expands the objective
     none = jnp.zeros((3, groups, *like.shape), like.dtype)
-    nowhere = Local(
-        jnp.full_like(like, jnp.inf), none, none + _unit(like)[:, :, None], jnp.stack([none[:, 1:]] * 3)
-    )
+    unit = unit_matrix(like.dtype, like.ndim + 1)
+    nowhere = Local(jnp.full_like(like, jnp.inf), none, none + unit, jnp.stack([none[:, 1:]] * 3))
     carry = start, nowhere, jnp.full_like(like, 10 * _DAMPING)
     at, here, _ = jax.lax.fori_loop(0, steps + 1, step, carry)
     return at, here.value
 
 
-def _unit(like: Array) -> Array:
-    """Unit matrix (3, 3, ...) for arrays of problems (...)."""
-    return jnp.eye(3, dtype=like.dtype).reshape(3, 3, *[1] * like.ndim)
-
-
 def _damped_step(here: Local, damping: Array) -> Array:
-    unit = _unit(damping)[:, :, None]
+    unit = unit_matrix(damping.dtype, damping.ndim + 1)
     size = total(here.diagonal * unit, 1)
     lift = damping * size + 1e-9 * total(size, 0, 1) + jnp.finfo(size.dtype).tiny ** 0.5
     damped = materialize(here.diagonal + unit * lift[:, None])

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.geometry.small import cross, normalize, sandwich, times, total
+from reframe_jax.geometry.small import cross, normalize, sandwich, times, total, unit_matrix
 from reframe_jax.model import features as z
 from reframe_jax.model.steps import Problem, Unknowns, axis_row, path_of, row_size
 from reframe_jax.model.table import KINDS, PATHS, ROWS, Table
@@ -95,7 +95,7 @@ def entry_moments(products: Array, mean: Array) -> EntryMoments:
     paths, mixed = picked[:, :12].reshape(3, 4, 3, 4, *rest), picked[:, 12:]
     rows = jnp.stack([products[six[:, None], six] for six in _SIXES], axis=3)  # (6, 6, S, 2, ...)
     # express the position in axes of the main body; it is measured in the ground
-    unit = jnp.eye(3, dtype=mean.dtype).reshape(3, 3, *[1] * lanes) + jnp.zeros_like(mean)
+    unit = unit_matrix(mean.dtype, lanes) + jnp.zeros_like(mean)
     turned = jnp.stack([unit, mean], axis=2)[:, :, None]  # (3, 3, 1, 2, ...)
     for _ in range(2):  # the rows of the symmetric moments, then their columns
         top = total(turned[:, :, None] * rows[:3, None], 0)

@@ -32,6 +32,7 @@ from reframe_jax.geometry.small import (
     times,
     total,
     trace,
+    unit_matrix,
 )
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, PACKED
 from reframe_jax.objectives.moments import MONOMIALS
@@ -125,7 +126,7 @@ def lowest_origins(
     best = jnp.argmin(_norm(coefficients, counts, x), axis=1)
     x = jnp.take_along_axis(x, best[None, :, None], axis=2)
     step = partial(_newton_step, coefficients, counts, box)
-    axes = jnp.eye(3, dtype=x.dtype).reshape(3, 3, *[1] * (x.ndim - 1))
+    axes = unit_matrix(x.dtype, x.ndim - 1)
     start = _Point(
         x, jnp.broadcast_to(axes, (3, *x.shape)), jnp.full_like(x[0], _DAMPING), jnp.zeros_like(x[0])
     )
@@ -194,7 +195,7 @@ def _tangent(coefficients: Array, counts: Array, inverse: Array) -> Array:
 
 def _lift(matrix: Array) -> Array:
     size = trace(matrix)
-    unit = jnp.eye(3, dtype=size.dtype).reshape(3, 3, *[1] * size.ndim)
+    unit = unit_matrix(size.dtype, size.ndim)
     return matrix + (1e-9 * size + jnp.finfo(matrix.dtype).tiny) * unit
 
 
@@ -245,7 +246,7 @@ def _newton_step(coefficients: Array, counts: Array, box: Array, at: _Point) -> 
     x = at.origin
     value, slope, tangent, exact = _expand(coefficients, counts, x)
     size = jnp.sqrt(total(total(exact * exact, 0), 0)) + jnp.finfo(x.dtype).tiny
-    unit = jnp.eye(3, dtype=size.dtype).reshape(3, 3, *[1] * size.ndim)
+    unit = unit_matrix(size.dtype, size.ndim)
     seen = sandwich(at.axes, (exact / size + 2 * unit)[:, :, None])
     axes = materialize(times(at.axes, diagonalize(seen, sweeps=1)))
     most = total(axes * times(tangent, axes), 0)

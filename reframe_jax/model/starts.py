@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import AngularType
-from reframe_jax.geometry.small import cross, diagonalize, normalize, times, total, trace
+from reframe_jax.geometry.small import cross, diagonalize, normalize, times, total, trace, unit_matrix
 from reframe_jax.model import features as z
 from reframe_jax.model.crossed import crossed_axes, promising_pairs
 from reframe_jax.model.rows import rotation_forms
@@ -58,7 +58,7 @@ def _sizes(axes: Array, form: Array) -> Array:
 def smallest_eigenvalue(forms: Array) -> Array:
     """Smallest eigenvalues (...) of symmetric forms (3, 3, ...), by the cosine formula of the cubic."""
     middle = trace(forms) / 3
-    away = forms - middle * jnp.eye(3, dtype=middle.dtype).reshape(3, 3, *[1] * middle.ndim)
+    away = forms - middle * unit_matrix(middle.dtype, middle.ndim)
     # divide before squaring, so that small numbers do not underflow
     largest_one = jnp.max(jnp.abs(away), axis=(0, 1)) + jnp.finfo(forms.dtype).tiny
     unit = away / largest_one

@@ -24,6 +24,7 @@ from reframe_jax.geometry.small import (
     times,
     total,
     trace,
+    unit_matrix,
 )
 from reframe_jax.model.descent import Local, levenberg_marquardt
 
@@ -85,7 +86,7 @@ def _held(form: Array, held: Array, details: Array) -> tuple[Array, Array]:
     """
     both = (held[:, None] & held[None])[:, :, None]
     small = jnp.finfo(form.dtype).tiny ** 0.5
-    unit = jnp.eye(3, dtype=form.dtype).reshape(3, 3, *[1] * (form.ndim - 2))
+    unit = unit_matrix(form.dtype, form.ndim - 2)
     lifted = jnp.where(both, form, 0) + unit * jnp.where(held, small, 1)[:, None, None]
     inverse, det = inverse_and_determinant(lifted)
     count = details[:, None]
@@ -124,7 +125,7 @@ def _blocks(problem: Problem, frame: Array, origin: Array) -> Local:
     pulled = materialize(total(times(forms, weight), 2, 3))
     sizes, weights = materialize((trace(forms), trace(weight)))
     bent = materialize(total(forms * weights + weight * sizes, 2, 3))
-    unit = jnp.eye(3, dtype=frame.dtype).reshape(3, 3, *[1] * value.ndim)
+    unit = unit_matrix(frame.dtype, value.ndim)
     apart = materialize(total(weights * sizes, 0, 1)) - trace(pulled)
     turns = apart * unit + pulled + jnp.swapaxes(pulled, 0, 1) - bent
     on_path = weight[:, :, :, 1]

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.geometry.small import axial, cross, materialize, times, total, trace
+from reframe_jax.geometry.small import axial, cross, materialize, times, total, trace, unit_matrix
 
 Array = jax.Array
 _STENCIL = 7  # samples in the derivative of the twist
@@ -50,7 +50,7 @@ def twist_between(first: tuple[Array, Array], second: tuple[Array, Array]) -> tu
 
 def move_along(pose: tuple[Array, Array], w: Array, v: Array) -> tuple[Array, Array]:
     """Move poses along the constant twist (w, v) of :func:`twist_between`."""
-    unit = jnp.broadcast_to(jnp.eye(3, dtype=w.dtype).reshape(3, 3, *[1] * (w.ndim - 1)), pose[0].shape)
+    unit = jnp.broadcast_to(unit_matrix(w.dtype, w.ndim - 1), pose[0].shape)
     columns = jnp.concatenate([unit, v[:, None]], axis=1)
     turn = jnp.broadcast_to(w[:, None], columns.shape)
     crossed = cross(turn, columns)
