@@ -185,7 +185,8 @@ def _run_batch(batch: Sequence[Case]) -> tuple[dict[str, Row], float, str]:
     if not single:
         print(f"{len(batch)} recordings of {len(first.poses)} poses: {spent:.0f} s", file=sys.stderr)
     matrices: dict[str, np.ndarray] = {}
-    if not paper and (single or len(first.poses) <= _COVERED):
+    scored = any(is_right(case, answer) for case, answer in zip(batch, answers, strict=True))
+    if scored and not paper and (single or len(first.poses) <= _COVERED):
         try:
             matrices = covariance_of(found, poses, **options)
         except Exception as error:  # an error of the covariance must not stop the comparison of names
@@ -220,12 +221,18 @@ def read_answers(found: Any) -> list[Row]:
 
 
 # ---------- scores
-def score(case: Case, answer: Row, matrices: dict[str, np.ndarray]) -> Row:
-    """Whether the name is right; for right names, the errors and whether 95 % regions contain the truth."""
+def is_right(case: Case, answer: Row) -> bool:
+    """Whether the name is right, and the linear type of constraints with a single type."""
     kind, name = rf.LinearType(int(answer["kind"])).name, str(answer["name"])
     free = "{} rotations, {} translation in {}".format(answer["angular_free"], answer["linear_free"], kind)
-    right = (name in case.expected and made.unique_type(name) in (None, kind)) or free in case.expected
-    row: Row = {"constraint": case.label, "name": name, "type": kind, "p": _digits(float(answer["p"]), 4)}
+    return (name in case.expected and made.unique_type(name) in (None, kind)) or free in case.expected
+
+
+def score(case: Case, answer: Row, matrices: dict[str, np.ndarray]) -> Row:
+    """Whether the name is right; for right names, the errors and whether 95 % regions contain the truth."""
+    kind, right = rf.LinearType(int(answer["kind"])).name, is_right(case, answer)
+    row: Row = {"constraint": case.label, "name": str(answer["name"]), "type": kind}
+    row |= {"p": _digits(float(answer["p"]), 4)}
     row |= {"status": int(answer["status"]), "strong": case.strong, "right": right if case.expected else None}
     if not right:
         return row

@@ -145,42 +145,36 @@ def objective(parameters: Parameters, data: Data, entry: Table, scale: Array, ti
     return value + _tilt_cost(parameters.tilt, data, scale, tie)
 
 
-def fit_entry(
-    start: Parameters, data: Data, entry: Table, scale: Array, tie: Array, steps: int = 2 * STEPS
-) -> tuple[Parameters, Array]:
-    """Fit the parameters of an entry to a window, from starting parameters.
+def fit_entry(start: Parameters, data: Data, entry: Table, steps: int = 2 * STEPS) -> Parameters:
+    """Fit the parameters of an entry to a window, from starting parameters, without a cost of the tilt.
 
     Args:
         start: starting parameters.
         data: data of the window.
         entry: one row of the table.
-        scale: () rad, size of the tilt.
-        tie: () bool, whether the tilt has a cost; otherwise it is free.
         steps: number of Levenberg-Marquardt steps.
-
-    Returns:
-        The fitted parameters, and the objective at these parameters.
     """
     body = in_body(entry)
     moments = entry_moments(jnp.moveaxis(data.products, 0, -1), data.mean_rotation).pick(entry.path[None])
     moments = EntryMoments(*(leaf[..., 0] for leaf in moments))
-    problem = problem_of(moments, data.details, entry, scale, data.box, tie)
-    inside = jnp.where(body, start.axes, ground_axes(start, data.mean_rotation))
+    one = jnp.ones((), data.products.dtype)
+    problem = problem_of(moments, data.details, entry, one, data.box, jnp.asarray(False))
+    ground = ground_axes(start, data.mean_rotation)
+    inside = jnp.where(body, start.axes, ground)
     tilt = jnp.where(body, start.tilt, 0)
     pitch = jnp.where(entry.pitch, start.pitch, 0)
     found = descend(problem, Unknowns(inside, start.origin, tilt, pitch), steps)
     axes = jnp.where(body, found.frame, data.mean_rotation.T @ found.frame)
     forms = rotation_forms(jnp.moveaxis(data.products, 0, -1))
-    a, b = ground_axes(start, data.mean_rotation)[:, 2], start.axes[:, 0]
+    a, b = ground[:, 2], start.axes[:, 0]
     a, b, _ = crossed_axes(forms, data.details, data.mean_rotation, a, b, steps)
     cross_axes, cross_tilt = crossed_frame(a, b, data.mean_rotation)
-    fitted = Parameters(
+    return Parameters(
         jnp.where(entry.crossed, cross_axes, axes),
         found.origin,
         jnp.where(entry.crossed, cross_tilt, found.tilt),
         found.pitch,
     )
-    return fitted, objective(fitted, data, entry, scale, tie)
 
 
 @jax.custom_jvp

@@ -123,9 +123,9 @@ def _spreads(
     features = pose_features(rotation, position, jnp.full((1, number - 1), step), counted.T, None)
     moments, fit = scale_moments(features.values, counted, None), refit.of_whole()
     # errors at each time scale as large as in the recording
-    products, details = align_scales(moments, len(fit.data.details))
-    details = jnp.where(fit.data.details > 0, details, 0)
-    known = jnp.sum(information(fit, row_precision(fit), fit.data)[0], axis=(0, 1))
+    products, details = align_scales(moments, len(fit.details))
+    details = jnp.where(fit.details > 0, details, 0)
+    known = jnp.sum(information(fit, row_precision(fit), fit.products, fit.details)[0], axis=(0, 1))
     return covariances_of_motions(fit, jnp.zeros_like(products[:1]), details[:1], known)[0], (
         covariances_of_motions(fit, products, details, known)
     )

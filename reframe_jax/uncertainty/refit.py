@@ -16,14 +16,14 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import inside_trace, jit_pair, narrow, traced
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
-from reframe_jax.geometry.rotations import vee
+from reframe_jax.geometry.rotations import rotation_exp, vee
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.frames import AngularFrame, LinearFrame
 from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
 from reframe_jax.identification.options import Scales, take_scales
 from reframe_jax.identification.preparation import Prepared, prepare_windows
 from reframe_jax.identification.results import Identification
-from reframe_jax.model.fit import Data, Parameters, fit_entry, ground_axes, move
+from reframe_jax.model.fit import Data, Parameters, coordinates_along, fit_entry, ground_axes, move
 from reframe_jax.model.moments import Moments, scale_moments
 from reframe_jax.model.solve import choose_scales
 from reframe_jax.model.table import PATHS, Table, entries_at
@@ -58,22 +58,29 @@ class Windows(NamedTuple):
     entry: Table  # (N,) rows of the table of constraints
     start: Parameters  # initial parameters
     found: Estimate  # the identified frames
+    axes: Array  # (N, 2, 3, 3) their angular and linear axes
 
 
 class Refit(NamedTuple):
-    """Constraints fitted to M parts of each of N windows; the first part is the whole window."""
+    """Constraints fitted to M parts of each of N windows; the first part is the whole window.
 
-    parameters: Parameters  # (N, M) in front
-    data: Data  # (N, M) in front, statistics of the parts
-    numbers: Array  # (N, M, 9) components of each fit, relative to the fit of the whole window
-    slopes: Array  # (N, M, 9, 9) derivative of the components with respect to a step of the parameters
-    poses: Array  # (N, M) number of poses in each part
+    Arrays have (N, M) in front, except those of the window.
+    """
+
+    tilt: Array  # (2,) rad, between the axis in the body and in the ground
+    products: Array  # (S, 27, 27) moments of the part
+    details: Array  # (S,) independent details of the part
+    numbers: Array  # (9,) components of each fit, relative to the fit of the whole window
+    slopes: Array  # (9, 9) derivative of the components with respect to a step of the parameters
+    weights: Array  # (6, 27) of the coordinates, as in the fit
+    weight_slopes: Array  # (6, 27, 9) derivative of the weights with respect to a step of the parameters
+    poses: Array  # () number of poses in the part
     entry: Table  # (N,) rows of the table of constraints
     prior: Array  # (N, 9) prior standard deviations of the parameters
 
     def of_whole(self) -> "Refit":
         """Return the fit of one whole window, without the axis of parts."""
-        leaves: Any = (*jax.tree.map(lambda leaf: leaf[0], self[:5]), *self[5:])
+        leaves: Any = (*jax.tree.map(lambda leaf: leaf[0], self[:8]), *self[8:])
         return Refit(*leaves)
 
 
@@ -137,8 +144,9 @@ def _run(
         used = choose_scales(window.moments, window.noise, scales)
         mean = window.features.mean_rotation
         entry = jax.vmap(entries_at)(jnp.maximum(found.entry_code, 0))
-        start = jax.vmap(_start)(found, window.centre, mean, entry)
-        windows = Windows(window.box, used, mean, entry, start, found)
+        axes = rotation_exp(jnp.stack([found.angular.rotvec, found.linear.rotvec], axis=1))
+        start = jax.vmap(_start)(found, axes, window.centre, mean, entry)
+        windows = Windows(window.box, used, mean, entry, start, found, axes)
         return function(window, windows, scales=scales, **static)
 
 
@@ -203,48 +211,59 @@ def _moments_of_parts(window: Prepared, parts: str, about_mean: bool) -> tuple[M
 
 def _fit_window(window: Windows, products: Array, details: Array, poses: Array) -> Refit:
     """Fit the parts (M, ...) of one window."""
-    box, _, mean, entry, start, found = window
-    data = jax.vmap(lambda p, d: Data(p, d, mean, box))(products, details)
+    box, _, mean, entry, start, found, axes = window
+    free = jnp.stack([found.angular.free_rotation, found.linear.free_rotation])
+
+    def fit(products: Array, details: Array) -> Parameters:
+        return fit_entry(start, Data(products, details, mean, box), entry)
+
+    parameters = jax.vmap(fit)(products, details)
+    first = jax.tree.map(lambda leaf: leaf[0], parameters)
+    whole = _frames(first, ground_axes(first, mean), mean, found, entry)
+
+    def expand(parameters: Parameters) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Components of a fit and weights of its coordinates; their derivatives."""
+
+        def after(step: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+            moved = move(parameters, step, box)
+            ground = ground_axes(moved, mean)
+            frames, origin = _frames(moved, ground, mean, found, entry)
+            turned, shift = frames @ jnp.swapaxes(whole[0], 1, 2), origin - whole[1]
+            turns = jax.vmap(turn_of_frame)(axes, free, turned).ravel()
+            numbers = jnp.concatenate([turns, shift - found.linear.free_position @ shift])
+            values = numbers, coordinates_along(ground, moved, entry)
+            return values, values
+
+        slopes, values = jax.jacfwd(after, has_aux=True)(jnp.zeros(9, products.dtype))
+        return values, slopes
+
+    (numbers, weights), (slopes, weight_slopes) = jax.vmap(expand)(parameters)
     one = jnp.ones((), products.dtype)
-
-    def fit(data: Data) -> Parameters:
-        return fit_entry(start, data, entry, one, jnp.asarray(False))[0]
-
-    parameters = jax.vmap(fit)(data)
-    whole = _frames(jax.tree.map(lambda leaf: leaf[0], parameters), mean, found, entry)
-
-    def numbers(parameters: Parameters) -> Array:
-        axes, origin = _frames(parameters, mean, found, entry)
-        turned, shift = axes @ jnp.swapaxes(whole[0], 1, 2), origin - whole[1]
-        turns = [turn_of_frame(*each) for each in zip((found.angular, found.linear), turned, strict=True)]
-        return jnp.concatenate([*turns, shift - found.linear.free_position @ shift])
-
-    def slopes(parameters: Parameters) -> Array:
-        return jax.jacfwd(lambda step: numbers(move(parameters, step, box)))(jnp.zeros(9, products.dtype))
-
     prior = jnp.stack([_PRIOR_ANGLE * one] * 3 + [box] * 3 + [_PRIOR_ANGLE * one] * 2 + [_PRIOR_PITCH * one])
-    of_parts = jax.vmap(numbers)(parameters), jax.vmap(slopes)(parameters)
-    return Refit(parameters, data, *of_parts, poses, entry, prior)
+    of_parts = numbers, slopes, weights, weight_slopes, poses
+    return Refit(parameters.tilt, products, details, *of_parts, entry, prior)
 
 
-def turn_of_frame(frame: Any, turned: Array) -> Array:
-    """Rotation vector (3,), rad, of a small rotation (3, 3), without rotations that leave the constraint."""
-    axes, free = frame.axes, frame.free_rotation
+def turn_of_frame(axes: Array, free: Array, turned: Array) -> Array:
+    """Rotation vector (3,), rad, of a small rotation (3, 3), without rotations about free axes.
+
+    The axes are the columns of a matrix (3, 3); ``free`` (3,) bool tells which are free.
+    """
     axis = axes @ free.astype(axes.dtype)
     # a rotation about one free axis may be large
     across = (axes * ~free) @ axes.T @ vee(turned)
     return jnp.where(jnp.sum(free) == 1, jnp.cross(axis, turned @ axis), across)
 
 
-def _start(found: Estimate, centre: Array, mean: Array, entry: Table) -> Parameters:
+def _start(found: Estimate, axes: Array, centre: Array, mean: Array, entry: Table) -> Parameters:
     """Initial parameters from the identified frames; the tilt is not part of the frames and starts at 0."""
 
     def in_body(axes: Array, body: Array) -> Array:
         return jnp.where(body == int(AngularType.G), mean.T @ axes, axes)
 
-    found = jax.tree.map(lambda x: jnp.nan_to_num(x), found)  # failed windows contain NaN
-    angular = in_body(found.angular.axes, found.angular.type_code)
-    linear = in_body(found.linear.axes, jnp.asarray(ORIENTATION_BODIES)[found.linear.type_code])
+    found, axes = jax.tree.map(jnp.nan_to_num, (found, axes))  # failed windows contain NaN
+    angular = in_body(axes[0], found.angular.type_code)
+    linear = in_body(axes[1], jnp.asarray(ORIENTATION_BODIES)[found.linear.type_code])
     turns, slides = jnp.sum(found.angular.dof), jnp.sum(found.linear.dof)
     axis = jnp.where(turns == 1, angular[:, 2], jnp.where(slides == 1, linear[:, 2], linear[:, 0]))
     # the free direction of a pin in a slot is the second column; otherwise any normal linear axis is valid
@@ -262,9 +281,14 @@ def _start(found: Estimate, centre: Array, mean: Array, entry: Table) -> Paramet
     return Parameters(axes, origin, jnp.stack([0 * lean, lean]), jnp.where(entry.pitch, found.pitch, 0))
 
 
-def _frames(parameters: Parameters, mean: Array, found: Estimate, entry: Table) -> tuple[Array, Array]:
-    """Angular and linear axes (2, 3, 3) and the origin (3,), each in the body of its type."""
-    bodies = jnp.stack([ground_axes(parameters, mean), parameters.axes])
+def _frames(
+    parameters: Parameters, ground: Array, mean: Array, found: Estimate, entry: Table
+) -> tuple[Array, Array]:
+    """Angular and linear axes (2, 3, 3) and the origin (3,), each in the body of its type.
+
+    ``ground`` (3, 3) are the axes of the parameters in the ground.
+    """
+    bodies = jnp.stack([ground, parameters.axes])
     # a universal joint does not turn about the normal of its two axes
     to_ground = jnp.where(found.angular.type_code == int(AngularType.G), mean, jnp.eye(3, dtype=mean.dtype))
     second = to_ground @ bodies[1][:, 0]

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.calibration.robust import NORMAL_FACTOR, student_factor
-from reframe_jax.model.fit import Data, coordinates, held_covariance, move
+from reframe_jax.model.fit import held_covariance
 from reframe_jax.uncertainty.refit import BLOCKS, SPANS, Refit
 
 Array = jax.Array
@@ -13,7 +13,7 @@ Array = jax.Array
 _GROUPS = slice(0, 3), slice(3, 6), slice(6, 9)  # angular axes, linear axes, origin
 _FEWEST = 2.0  # fewest degrees of freedom of Student's distribution
 _FEWEST_POSES = 8  # of a part
-_EACH_PART = Refit(0, 0, 0, 0, 0, None, None)  # type: ignore[arg-type]  # axes for jax.vmap over parts
+_EACH_PART = Refit(*[0] * 8, None, None)  # type: ignore[arg-type, call-arg]  # axes for jax.vmap over parts
 _LENGTHS = np.array([1, *(1 / parts for _, parts in SPANS)])  # of the window and of its spans, in windows
 _HALVES, _THIRDS = ((1, 2),), ((3, 4), (3, 5), (4, 5))  # pairs of disjoint parts to compare; 0 is the window
 _SET = np.repeat(range(3), (1, len(_HALVES), len(_THIRDS)))  # of each pair: redundant axes, halves, thirds
@@ -25,30 +25,25 @@ _PRIOR = 0.03  # information of the prior of a part, as a fraction of what a par
 
 def row_precision(fit: Refit) -> Array:
     """Inverse covariance (S, 2, 6, 6) of constrained coordinates by scale, for rotations and translations."""
-    data, entry = fit.data, fit.entry
-    covariance = held_covariance(coordinates(fit.parameters, data.mean_rotation, entry), data.products, entry)
+    covariance = held_covariance(fit.weights, fit.products, fit.entry)
     unit = jnp.sqrt(jnp.diagonal(covariance, axis1=2, axis2=3))
     inverse = jnp.linalg.inv(covariance / unit[..., :, None] / unit[..., None, :])
     inverse = inverse / unit[..., :, None] / unit[..., None, :]
     whole = jnp.zeros((len(inverse), 2, 6, 6), inverse.dtype)
     whole = whole.at[:, 0, :3, :3].set(inverse[:, 0]).at[:, 1, 3:, 3:].set(inverse[:, 1])
-    return jnp.where(entry.held[:, None] & entry.held[None], whole, 0)
+    return jnp.where(fit.entry.held[:, None] & fit.entry.held[None], whole, 0)
 
 
-def information(fit: Refit, precision: Array, motion: Data) -> tuple[Array, Array]:
+def information(fit: Refit, precision: Array, products: Array, details: Array) -> tuple[Array, Array]:
     """Fisher information and gradient of the negative log-likelihood, from rotations and from translations.
 
-    The result is the information (S, 2, 9, 9) that a motion gives about the parameters, and the gradient
-    (S, 2, 9), by scale, with the inverse covariances of :func:`row_precision`.
+    The result is the information (S, 2, 9, 9) about the parameters from a motion with these moments
+    (S, 27, 27) and independent details (S,), and the gradient (S, 2, 9), by scale, with the inverse
+    covariances of :func:`row_precision`.
     """
-
-    def weights_after(step: Array) -> Array:
-        return coordinates(move(fit.parameters, step, motion.box), motion.mean_rotation, fit.entry)
-
-    zero = jnp.zeros(9, precision.dtype)
-    slopes = jnp.concatenate([jax.jacfwd(weights_after)(zero), weights_after(zero)[:, :, None]], axis=2)
-    through = jnp.einsum("ifp,sfg,jgq->sipjq", slopes, motion.products, slopes)
-    found = jnp.einsum("sipjq,stij->stpq", through, precision) * motion.details[:, None, None, None]
+    slopes = jnp.concatenate([fit.weight_slopes, fit.weights[:, :, None]], axis=2)
+    through = jnp.einsum("ifp,sfg,jgq->sipjq", slopes, products, slopes)
+    found = jnp.einsum("sipjq,stij->stpq", through, precision) * details[:, None, None, None]
     return found[..., :9, :9], found[..., :9, 9]
 
 
@@ -67,8 +62,7 @@ def covariances_of_motions(fit: Refit, products: Array, details: Array, known: A
     precision = row_precision(fit)
 
     def of_one(products: Array, details: Array) -> Array:
-        motion = fit.data._replace(products=products, details=details)
-        total = known + jnp.sum(information(fit, precision, motion)[0], axis=(0, 1))
+        total = known + jnp.sum(information(fit, precision, products, details)[0], axis=(0, 1))
         return fit.slopes @ _posterior(total, fit.prior) @ fit.slopes.T
 
     return jax.vmap(of_one)(products, details)
@@ -114,8 +108,8 @@ def _spread_of_fit(fit: Refit) -> tuple[Array, Array, Array]:
     The result is the covariance (9, 9), the difference (9,) of the components, and the covariance (9, 9) of
     the difference for white errors.
     """
-    parameters, data, _, slopes, _, entry, prior = fit
-    each, gradient = information(fit, row_precision(fit), data)
+    details, slopes, entry, prior = fit.details, fit.slopes, fit.entry, fit.prior
+    each, gradient = information(fit, row_precision(fit), fit.products, details)
     by_kind = jnp.sum(each, axis=0)
     total, rotations, translations = jax.vmap(_posterior, in_axes=(0, None))(
         jnp.concatenate([jnp.sum(by_kind, axis=0)[None], by_kind]), prior
@@ -126,13 +120,13 @@ def _spread_of_fit(fit: Refit) -> tuple[Array, Array, Array]:
     )
     tiny = jnp.finfo(part.dtype).tiny ** 0.5
     part = part / (jnp.sum(part, axis=(1, 2), keepdims=True) + tiny)
-    number = 1 / (jnp.sum(jnp.square(part) / jnp.maximum(data.details, 0.5)[:, None], axis=(1, 2)) + 1e-6)
+    number = 1 / (jnp.sum(jnp.square(part) / jnp.maximum(details, 0.5)[:, None], axis=(1, 2)) + 1e-6)
     freedom = jnp.maximum(number - 1, _FEWEST)
     factor = jnp.repeat(jnp.sqrt(_student_variance(freedom) * jnp.maximum(number / freedom, 1)), 3)
     score = jnp.sum(gradient, axis=0)
     step = jnp.where(
         entry.tied,
-        jnp.zeros_like(prior).at[:2].set(parameters.tilt),
+        jnp.zeros_like(prior).at[:2].set(fit.tilt),
         translations @ score[1] - rotations @ score[0],
     )
     tilt = jnp.zeros_like(total).at[:2, :2].set(total[6:8, 6:8])
@@ -152,8 +146,7 @@ def _parts_with_prior(refit: Refit, own: Array) -> tuple[Array, Array]:
     components (M, 3, 3) of the estimates, by group, and their covariances (M, 3, 3, 3) for white errors: the
     mean of the covariances from the errors of the part and of the whole window.
     """
-    data = refit.data
-    moved = covariances_of_motions(refit.of_whole(), data.products, data.details)
+    moved = covariances_of_motions(refit.of_whole(), refit.products, refit.details)
     moved = jax.vmap(_blocks)(moved)
     values, axes, known = _principal(moved[0] + _PRIOR * _LENGTHS[:, None, None, None] * moved)
     inverse = jnp.where(known, 1 / jnp.where(known, values, 1), 0)
