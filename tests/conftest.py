@@ -11,7 +11,6 @@ machine code that users run. Variables set by the caller win.
 """
 
 import builtins
-import contextlib
 import ctypes
 import gc
 import os
@@ -62,19 +61,8 @@ _LONGEST = (
 )
 
 
-def _machine_memory() -> float:
-    """Bytes that all processes may hold together, where the system says; otherwise few."""
-    limits = []
-    with contextlib.suppress(ValueError, OSError):
-        limits.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    with contextlib.suppress(ValueError, OSError):  # of a container; "max" if it has no limit
-        limits.append(int(Path("/sys/fs/cgroup/memory.max").read_text()))
-    return float(min(limits, default=0))
-
-
-# bytes that a process may hold after a module; a module adds up to a gigabyte
-_WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-_MOST_MEMORY = float(np.clip(_machine_memory() / 2 / _WORKERS, 1.8e9, 4e9))
+# bytes that a process may hold after a module. A module adds up to 1.2 GB; a process stays below 3 GB
+_MOST_MEMORY = 1.6e9
 
 hypothesis.settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 hypothesis.settings.load_profile("repeatable")
