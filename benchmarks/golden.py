@@ -231,9 +231,15 @@ def is_right(case: Case, answer: Row) -> bool:
 def score(case: Case, answer: Row, matrices: dict[str, np.ndarray]) -> Row:
     """Whether the name is right; for right names, the errors and whether 95 % regions contain the truth."""
     kind, right = rf.LinearType(int(answer["kind"])).name, is_right(case, answer)
-    row: Row = {"constraint": case.label, "name": str(answer["name"]), "type": kind}
-    row |= {"p": _digits(float(answer["p"]), 4)}
-    row |= {"status": int(answer["status"]), "strong": case.strong, "right": right if case.expected else None}
+    row: Row = {
+        "constraint": case.label,
+        "name": str(answer["name"]),
+        "type": kind,
+        "p": _digits(float(answer["p"]), 4),
+        "status": int(answer["status"]),
+        "strong": case.strong,
+        "right": right if case.expected else None,
+    }
     if not right:
         return row
     truth, inside, angles = case.truth, {}, []

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import LinearType
-from reframe_jax.geometry.small import largest, materialize, sandwich, times, total, trace
+from reframe_jax.geometry.small import largest, materialize, sandwich, times, total, trace, unit_matrix
 from reframe_jax.model import features as z
 from reframe_jax.model.evidence import Amplitudes, Coordinates, Spectra, amplitudes_of, log_evidence
 from reframe_jax.model.features import Features
@@ -118,7 +118,7 @@ def evaluate_entries(
     of_path = total(of_path[:, :, None] * at.frame[None, :, :, None], 1)
     mixed = jnp.where(crossed, of_path, mixed)
     # ---- sensitivity to a rotation
-    unit = jnp.eye(3, dtype=turns.dtype)[:, :, None, None] + jnp.zeros_like(at.frame)
+    unit = unit_matrix(turns.dtype, 2) + jnp.zeros_like(at.frame)
     sine = total(universal.sine, 0) / len(universal.sine)
     corner = (np.arange(9) == 0).reshape(3, 3, 1, 1)
     of_turns = jnp.where(crossed & corner, sine, unit)
@@ -177,8 +177,7 @@ def _squared_levers(features: Features, rotations: Array, origins: Array) -> Arr
     ]
     arms = jnp.stack(moved, axis=2)  # (3, M, 5, N)
     squares = total(arms[:, None] * arms[None], 2) / arms.shape[1]
-    unit = jnp.eye(3, dtype=arms.dtype)[:, :, None, None]
-    return unit * trace(squares) - squares
+    return unit_matrix(arms.dtype, 2) * trace(squares) - squares
 
 
 def _limited_noise(products: Array, all_details: Array, white: Array, noise: Array) -> Array:

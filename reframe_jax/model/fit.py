@@ -145,15 +145,8 @@ def objective(parameters: Parameters, data: Data, entry: Table, scale: Array, ti
     return value + _tilt_cost(parameters.tilt, data, scale, tie)
 
 
-def fit_entry(start: Parameters, data: Data, entry: Table, steps: int = 2 * STEPS) -> Parameters:
-    """Fit the parameters of an entry to a window, from starting parameters, without a cost of the tilt.
-
-    Args:
-        start: starting parameters.
-        data: data of the window.
-        entry: one row of the table.
-        steps: number of Levenberg-Marquardt steps.
-    """
+def fit_entry(start: Parameters, data: Data, entry: Table) -> Parameters:
+    """Fit an entry, a row of the table, to a window from starting parameters; a tilt has no cost."""
     body = in_body(entry)
     moments = entry_moments(jnp.moveaxis(data.products, 0, -1), data.mean_rotation).pick(entry.path[None])
     moments = EntryMoments(*(leaf[..., 0] for leaf in moments))
@@ -163,11 +156,11 @@ def fit_entry(start: Parameters, data: Data, entry: Table, steps: int = 2 * STEP
     inside = jnp.where(body, start.axes, ground)
     tilt = jnp.where(body, start.tilt, 0)
     pitch = jnp.where(entry.pitch, start.pitch, 0)
-    found = descend(problem, Unknowns(inside, start.origin, tilt, pitch), steps)
+    found = descend(problem, Unknowns(inside, start.origin, tilt, pitch), 2 * STEPS)
     axes = jnp.where(body, found.frame, data.mean_rotation.T @ found.frame)
     forms = rotation_forms(jnp.moveaxis(data.products, 0, -1))
     a, b = ground[:, 2], start.axes[:, 0]
-    a, b, _ = crossed_axes(forms, data.details, data.mean_rotation, a, b, steps)
+    a, b, _ = crossed_axes(forms, data.details, data.mean_rotation, a, b, 2 * STEPS)
     cross_axes, cross_tilt = crossed_frame(a, b, data.mean_rotation)
     return Parameters(
         jnp.where(entry.crossed, cross_axes, axes),

@@ -88,7 +88,7 @@ def common_frames(paths: Array, turns: Array, position: Array, details: Array, s
     forms = jnp.concatenate([paths, turns, single[:, :, :, None]], axis=3)
     first = jnp.zeros_like(details).at[0].set(1)
     weights = jnp.stack([details] * 6 + [first], axis=1)
-    lift = 1e-18 * jnp.eye(3, dtype=forms.dtype)[:, :, None, None, None]
+    lift = 1e-18 * unit_matrix(forms.dtype, 3)
     axes = diagonalize(forms + lift, weights)
     sizes = jnp.concatenate([total(forms[:, :, :, :6] * scale_weight[:, None], 2), whole[:, :, None]], axis=2)
     axes = _sorted(axes, _sizes(axes, sizes))

@@ -17,7 +17,7 @@ from reframe_jax.model.features import pose_features
 from reframe_jax.model.moments import scale_moments
 from reframe_jax.motion import kinematics
 from reframe_jax.uncertainty.refit import Refit, Windows, align_scales, over_windows, refit_windows
-from reframe_jax.uncertainty.spread import covariances_of_motions, information, row_precision
+from reframe_jax.uncertainty.spread import covariances_of_motions, information
 
 _SPEED = np.repeat([0.5, 0.1], 3)  # rad/s and m/s, amplitude of a candidate motion along an axis
 _RATE = 2 * np.pi  # rad/s, one period per second
@@ -125,7 +125,7 @@ def _spreads(
     # errors at each time scale as large as in the recording
     products, details = align_scales(moments, len(fit.details))
     details = jnp.where(fit.details > 0, details, 0)
-    known = jnp.sum(information(fit, row_precision(fit), fit.products, fit.details)[0], axis=(0, 1))
+    known = jnp.sum(information(fit, fit.products, fit.details)[0], axis=(0, 1))
     return covariances_of_motions(fit, jnp.zeros_like(products[:1]), details[:1], known)[0], (
         covariances_of_motions(fit, products, details, known)
     )

@@ -62,10 +62,7 @@ class Windows(NamedTuple):
 
 
 class Refit(NamedTuple):
-    """Constraints fitted to M parts of each of N windows; the first part is the whole window.
-
-    Arrays have (N, M) in front, except those of the window.
-    """
+    """Constraints fitted to parts of windows, with (N, M) in front; the first part is the whole window."""
 
     tilt: Array  # (2,) rad, between the axis in the body and in the ground
     products: Array  # (S, 27, 27) moments of the part
@@ -75,13 +72,13 @@ class Refit(NamedTuple):
     weights: Array  # (6, 27) of the coordinates, as in the fit
     weight_slopes: Array  # (6, 27, 9) derivative of the weights with respect to a step of the parameters
     poses: Array  # () number of poses in the part
-    entry: Table  # (N,) rows of the table of constraints
-    prior: Array  # (N, 9) prior standard deviations of the parameters
+    entry: Table  # row of the table of constraints
+    prior: Array  # (9,) prior standard deviations of the parameters
 
     def of_whole(self) -> "Refit":
         """Return the fit of one whole window, without the axis of parts."""
-        leaves: Any = (*jax.tree.map(lambda leaf: leaf[0], self[:8]), *self[8:])
-        return Refit(*leaves)
+        whole: Refit = jax.tree.map(lambda leaf: leaf[0], self)
+        return whole
 
 
 def over_windows(
@@ -220,9 +217,11 @@ def _fit_window(window: Windows, products: Array, details: Array, poses: Array) 
     parameters = jax.vmap(fit)(products, details)
     first = jax.tree.map(lambda leaf: leaf[0], parameters)
     whole = _frames(first, ground_axes(first, mean), mean, found, entry)
+    one = jnp.ones((), products.dtype)
+    prior = jnp.stack([_PRIOR_ANGLE * one] * 3 + [box] * 3 + [_PRIOR_ANGLE * one] * 2 + [_PRIOR_PITCH * one])
 
-    def expand(parameters: Parameters) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Components of a fit and weights of its coordinates; their derivatives."""
+    def expand(parameters: Parameters, products: Array, details: Array, poses: Array) -> Refit:
+        """Compute the components of a fit, the weights of its coordinates, and their derivatives."""
 
         def after(step: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
             moved = move(parameters, step, box)
@@ -234,14 +233,11 @@ def _fit_window(window: Windows, products: Array, details: Array, poses: Array) 
             values = numbers, coordinates_along(ground, moved, entry)
             return values, values
 
-        slopes, values = jax.jacfwd(after, has_aux=True)(jnp.zeros(9, products.dtype))
-        return values, slopes
+        (slopes, of_weights), (numbers, weights) = jax.jacfwd(after, has_aux=True)(jnp.zeros_like(prior))
+        local = numbers, slopes, weights, of_weights
+        return Refit(parameters.tilt, products, details, *local, poses, entry, prior)
 
-    (numbers, weights), (slopes, weight_slopes) = jax.vmap(expand)(parameters)
-    one = jnp.ones((), products.dtype)
-    prior = jnp.stack([_PRIOR_ANGLE * one] * 3 + [box] * 3 + [_PRIOR_ANGLE * one] * 2 + [_PRIOR_PITCH * one])
-    of_parts = numbers, slopes, weights, weight_slopes, poses
-    return Refit(parameters.tilt, products, details, *of_parts, entry, prior)
+    return jax.vmap(expand)(parameters, products, details, poses)
 
 
 def turn_of_frame(axes: Array, free: Array, turned: Array) -> Array:

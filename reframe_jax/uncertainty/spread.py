@@ -13,7 +13,6 @@ Array = jax.Array
 _GROUPS = slice(0, 3), slice(3, 6), slice(6, 9)  # angular axes, linear axes, origin
 _FEWEST = 2.0  # fewest degrees of freedom of Student's distribution
 _FEWEST_POSES = 8  # of a part
-_EACH_PART = Refit(*[0] * 8, None, None)  # type: ignore[arg-type, call-arg]  # axes for jax.vmap over parts
 _LENGTHS = np.array([1, *(1 / parts for _, parts in SPANS)])  # of the window and of its spans, in windows
 _HALVES, _THIRDS = ((1, 2),), ((3, 4), (3, 5), (4, 5))  # pairs of disjoint parts to compare; 0 is the window
 _SET = np.repeat(range(3), (1, len(_HALVES), len(_THIRDS)))  # of each pair: redundant axes, halves, thirds
@@ -23,7 +22,7 @@ _CHANCE, _SIGNIFICANT = 3.0, 4.0
 _PRIOR = 0.03  # information of the prior of a part, as a fraction of what a part of its length has on average
 
 
-def row_precision(fit: Refit) -> Array:
+def _row_precision(fit: Refit) -> Array:
     """Inverse covariance (S, 2, 6, 6) of constrained coordinates by scale, for rotations and translations."""
     covariance = held_covariance(fit.weights, fit.products, fit.entry)
     unit = jnp.sqrt(jnp.diagonal(covariance, axis1=2, axis2=3))
@@ -34,16 +33,16 @@ def row_precision(fit: Refit) -> Array:
     return jnp.where(fit.entry.held[:, None] & fit.entry.held[None], whole, 0)
 
 
-def information(fit: Refit, precision: Array, products: Array, details: Array) -> tuple[Array, Array]:
+def information(fit: Refit, products: Array, details: Array) -> tuple[Array, Array]:
     """Fisher information and gradient of the negative log-likelihood, from rotations and from translations.
 
     The result is the information (S, 2, 9, 9) about the parameters from a motion with these moments
-    (S, 27, 27) and independent details (S,), and the gradient (S, 2, 9), by scale, with the inverse
-    covariances of :func:`row_precision`.
+    (S, 27, 27) and independent details (S,), and the gradient (S, 2, 9), by scale. Errors are as large as in
+    the fit.
     """
     slopes = jnp.concatenate([fit.weight_slopes, fit.weights[:, :, None]], axis=2)
     through = jnp.einsum("ifp,sfg,jgq->sipjq", slopes, products, slopes)
-    found = jnp.einsum("sipjq,stij->stpq", through, precision) * details[:, None, None, None]
+    found = jnp.einsum("sipjq,stij->stpq", through, _row_precision(fit)) * details[:, None, None, None]
     return found[..., :9, :9], found[..., :9, 9]
 
 
@@ -59,10 +58,9 @@ def covariances_of_motions(fit: Refit, products: Array, details: Array, known: A
 
     The information ``known`` (9, 9) about the parameters is added to that of each motion.
     """
-    precision = row_precision(fit)
 
     def of_one(products: Array, details: Array) -> Array:
-        total = known + jnp.sum(information(fit, precision, products, details)[0], axis=(0, 1))
+        total = known + jnp.sum(information(fit, products, details)[0], axis=(0, 1))
         return fit.slopes @ _posterior(total, fit.prior) @ fit.slopes.T
 
     return jax.vmap(of_one)(products, details)
@@ -74,7 +72,7 @@ def combine_parts(refit: Refit, *, parts: str) -> tuple[Array, Array]:
         rest = refit.numbers[1:] - jnp.mean(refit.numbers[1:], axis=0)
         matrix = rest.T @ rest * (BLOCKS - 1) / BLOCKS * _student_variance(jnp.asarray(BLOCKS - 1.0))
         return matrix, jnp.ones(3, matrix.dtype)
-    own, redundant, white = jax.vmap(_spread_of_fit, in_axes=(_EACH_PART,))(refit)
+    own, redundant, white = jax.vmap(_spread_of_fit)(refit)
     matrix = own[0]
     if parts == "whole":
         return matrix, jnp.ones(3, matrix.dtype)
@@ -109,7 +107,7 @@ def _spread_of_fit(fit: Refit) -> tuple[Array, Array, Array]:
     the difference for white errors.
     """
     details, slopes, entry, prior = fit.details, fit.slopes, fit.entry, fit.prior
-    each, gradient = information(fit, row_precision(fit), fit.products, details)
+    each, gradient = information(fit, fit.products, details)
     by_kind = jnp.sum(each, axis=0)
     total, rotations, translations = jax.vmap(_posterior, in_axes=(0, None))(
         jnp.concatenate([jnp.sum(by_kind, axis=0)[None], by_kind]), prior
