@@ -97,3 +97,12 @@ def test_other_norms_reach_the_best_of_a_longer_search(problems, exponent, misse
     found = search(default_solver(exponent), some)
     best = jnp.minimum(best, found)
     assert np.mean(np.asarray(found - best) > 1e-3) <= missed
+
+
+def test_origins_do_not_depend_on_the_other_windows_of_a_batch(windows):
+    """Every origin stops when it has converged, however many steps the others take."""
+    both = np.asarray(windows[:12]), np.asarray(windows[-12:])
+    options = {"dt": 0.1, "scales": 1, "thresholds": rf.Thresholds()}
+    together = rf.identify(np.concatenate(both), **options).candidates.linear.position
+    apart = [rf.identify(poses, **options).candidates.linear.position for poses in both]
+    np.testing.assert_allclose(together, np.concatenate(apart), rtol=0, atol=1e-9)
