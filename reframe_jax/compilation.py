@@ -124,9 +124,8 @@ def index_leaves(tree: _T, index: Any) -> _T:
 def join_parts(parts: list[_T], count: int) -> _T:
     """Concatenate the arrays of several pytrees along the first axis, and keep the first ``count`` rows."""
     if len(parts) == 1:
-        return (
-            parts[0] if len(jax.tree.leaves(parts[0])[0]) == count else index_leaves(parts[0], slice(count))
-        )
+        whole = len(jax.tree.leaves(parts[0])[0]) == count
+        return parts[0] if whole else index_leaves(parts[0], slice(count))
     if jax.default_backend() == "cpu":  # NumPy needs no program for each number of parts
         parts = jax.device_get(parts)
         return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[:count]), *parts)

@@ -149,12 +149,6 @@ def solve_symmetric(matrix: Array, vectors: Array) -> Array:
     return jnp.concatenate([x / d1 - l2 * y - l3 * z, y, z])
 
 
-def inverse_and_determinant(s: Array) -> tuple[Array, Array]:
-    """Invert symmetric matrices (3, 3, ...) and compute their determinants, as :func:`invert_symmetric`."""
-    inverse, det = invert_symmetric([s[i, j] for i in range(3) for j in range(i, 3)])
-    return inverse[np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]], np.int32)], det
-
-
 def solve_positive(matrix: Array, vector: Array) -> Array:
     """Solve symmetric, positive definite systems (n, n, ...) x = (n, ...) by Gauss-Jordan elimination."""
     length = len(vector)

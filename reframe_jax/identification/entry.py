@@ -12,7 +12,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import COMPILER_OPTIONS, index_leaves, inside_trace, jit_pair, narrow
+from reframe_jax.compilation import COMPILER_OPTIONS, inside_trace, jit_pair, narrow
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
@@ -101,7 +101,7 @@ def identify(
     if unordered and usual and isinstance(scales, str) and scales == "auto":
         scales = "mean"
     options = Options(scales, assume, norm, discretization, thresholds, bounds, solver, key)
-    found = identify_unchecked(array, times, dt, options)
+    found = identify_unchecked(array, times, dt, options, inside_a_trace)
     if unordered:
         found = replace(found, warning_codes=found.warning_codes | int(Caution.UNORDERED))
     if single_window:
@@ -110,12 +110,15 @@ def identify(
 
 
 def identify_unchecked(
-    poses: ArrayLike, times: ArrayLike | None, dt: ArrayLike | None, options: Options
+    poses: ArrayLike,
+    times: ArrayLike | None,
+    dt: ArrayLike | None,
+    options: Options,
+    inside_a_trace: bool = False,
 ) -> Identification:
     """Identify as :func:`identify` does, without the checks for poses without order and for lost tracking."""
-    _, _, norm, discretization, thresholds, bounds, solver, key = options
+    _, _, norm, discretization, thresholds, _, solver, key = options
     exponent = check_exponent(norm)
-    inside_a_trace = inside_trace((poses, times, dt, thresholds, bounds, key))
     array = take_poses(poses)
     samples, reach, assumed = check_options(options, array.shape[-3])
     wide = not inside_a_trace and not isinstance(array, jax.Array) and array.dtype == np.float64
@@ -125,9 +128,11 @@ def identify_unchecked(
             samples = (1,)
         dtype = jax.dtypes.canonicalize_dtype(array.dtype)
         level = None if thresholds is None else jax.tree.map(lambda t: jnp.asarray(t, dtype), thresholds)
-        if reach is None and not inside_a_trace:
-            reach = np.nan  # the default, so that the program is that of given bounds
-        arrays = None if reach is None else jnp.asarray(reach, dtype), level, key
+        if reach is not None:
+            reach = jnp.asarray(reach, dtype)
+        elif not inside_a_trace:
+            reach = np.asarray(np.nan, dtype)  # the default, so that the program is that of given bounds
+        arrays = reach, level, key
         run = partial(
             _program_in_trace if inside_a_trace else _program,
             scales=samples,
@@ -136,15 +141,14 @@ def identify_unchecked(
             solver=solver,
             assume=assumed,
         )
-        batch = array.shape[:-3]
-        if inside_a_trace or 0 in batch:
+        if inside_a_trace or 0 in array.shape[:-3]:
             found = run(array, steps, None, *arrays)
-        elif not batch:
-            found = index_leaves(_on_host(run, array[None], np.asarray(steps)[None], arrays), 0)
+        elif _is_distributed(array):
+            found = _on_mesh(run, array, steps, arrays)
         else:
-            found = _batch(run, array, steps, arrays)
+            found = _on_host(run, array, steps, arrays)
     found = narrow(found) if wide else found
-    if not batch and not inside_a_trace:
+    if array.ndim == 3 and not inside_a_trace:
         status = Status(int(found.status_code))
         if status.failed:
             raise ValueError(status.message)
@@ -165,27 +169,21 @@ def _warn_of_lost_rows(poses: np.ndarray, times: Any) -> None:
 
 
 def _on_host(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
-    """Identify windows (N, K+1, 4, 4) in pieces of few shapes, so that few programs are compiled."""
+    """Identify windows (..., K+1, 4, 4) in pieces of few shapes, so that few programs are compiled."""
     pad = not run.keywords["scales"]  # velocities of single steps must not see the padding
 
-    def of_piece(poses: Any, steps: Any, lengths: Any, _: Any) -> Identification:
-        return run(poses, steps, lengths, *options)
+    def of_piece(poses: Any, steps: Any, length: Any, _: Any) -> Identification:
+        return run(poses, steps, length, *options)
 
     found: Identification = run_in_pieces(of_piece, poses, steps, None, _chunk(), pad)
-    return replace(found, counted=jax.lax.slice_in_dim(found.counted, 0, poses.shape[1], axis=1))
+    return replace(found, counted=jax.lax.slice_in_dim(found.counted, 0, poses.shape[-3], axis=-1))
 
 
-def _batch(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
-    """Identify windows with any leading axes, on the host or on several devices."""
+def _is_distributed(poses: Any) -> bool:
+    """Whether a sharding distributes windows over devices, or over a mesh of one device."""
     sharding = poses.sharding if isinstance(poses, jax.Array) else None
-    # also over a mesh of one device
-    spread = isinstance(sharding, NamedSharding) and any(axis is not None for axis in sharding.spec)
-    if spread or (sharding is not None and len(sharding.device_set) > 1):
-        return _on_mesh(run, poses, steps, options)
-    batch = poses.shape[:-3]
-    own = steps if steps.ndim == 1 else steps.reshape(-1, steps.shape[-1])
-    found = _on_host(run, poses.reshape(-1, *poses.shape[-3:]), own, options)
-    return found if len(batch) == 1 else jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
+    over_mesh = isinstance(sharding, NamedSharding) and any(axis is not None for axis in sharding.spec)
+    return over_mesh or (sharding is not None and len(sharding.device_set) > 1)
 
 
 def _on_mesh(run: Any, poses: jax.Array, steps: Any, options: tuple[Any, ...]) -> Identification:
@@ -211,7 +209,7 @@ def _program_for_mesh(mesh: Mesh, axis: Any, own_steps: bool, *static: tuple[str
     run = jax.shard_map(
         partial(_identify_flat, **dict(static)),
         mesh=mesh,
-        in_specs=(part, part if own_steps else whole, whole, whole, whole, whole),
+        in_specs=(part, part if own_steps else whole, *[whole] * 4),
         out_specs=part,
         check_vma=False,
     )
@@ -225,33 +223,33 @@ def _chunk() -> int:
 def _identify_flat(
     poses: jax.Array,
     steps: jax.Array,
-    count: jax.Array | None,
+    length: jax.Array | None,
     bounds: jax.Array | None,
     thresholds: Thresholds | None,
     key: jax.Array | None,
     **static: Any,
 ) -> Identification:
-    """Identify windows (..., K+1, 4, 4), one chunk after another."""
+    """Identify windows (..., K+1, 4, 4), one chunk after another; see :func:`run_in_pieces`."""
     key = jax.random.key(0) if key is None else key
-    batch, shared = poses.shape[:-3], steps.ndim == 1
-    flat = poses.reshape(-1, *poses.shape[-3:])
-    steps = steps.astype(poses.dtype)
-    steps = steps if shared else steps.reshape(-1, steps.shape[-1])
+    batch = poses.shape[:-3]
+    steps = jnp.broadcast_to(steps.astype(poses.dtype), (*batch, steps.shape[-1]))
 
-    def of_windows(poses: jax.Array, steps: jax.Array, count: jax.Array | None) -> Identification:
+    split = poses.reshape(-1, *poses.shape[-3:]), steps.reshape(-1, steps.shape[-1])
+
+    def of_windows(windows: tuple[jax.Array, jax.Array]) -> Identification:
+        poses, steps = windows
+        count = None if length is None else jnp.full(len(poses), length)
         with jax.default_matmul_precision("highest"):  # a GPU would round single precision to ten bits
             return identify_windows(poses, steps, count, bounds, thresholds, key, **static)
 
-    number, chunk = flat.shape[0], _chunk()
+    number, chunk = len(split[0]), _chunk()
     if number <= chunk:
-        found = of_windows(flat, steps, count)
+        found = of_windows(split)
     else:
-        chunks = -(-number // chunk)
-        fill = np.minimum(np.arange(chunks * chunk), number - 1)
-        split = (flat, None if shared else steps)
-        split = jax.tree.map(lambda a: a[fill] if chunks * chunk > number else a, split)
-        split = jax.tree.map(lambda a: a.reshape(chunks, chunk, *a.shape[1:]), split)
-        found = jax.lax.map(lambda part: of_windows(part[0], steps if shared else part[1], None), split)
+        fill = np.minimum(np.arange(-(-number // chunk) * chunk), number - 1)
+        split = jax.tree.map(lambda a: a[fill] if len(fill) > number else a, split)
+        split = jax.tree.map(lambda a: a.reshape(-1, chunk, *a.shape[1:]), split)
+        found = jax.lax.map(of_windows, split)
         found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:number], found)
     return jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
 

@@ -1,5 +1,6 @@
 """Check poses and times, convert them to arrays, and divide batches into pieces."""
 
+import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -151,55 +152,61 @@ def padded_size(count: int) -> int:
     return size
 
 
-def run_in_pieces(run: Callable[..., Any], poses: Any, steps: Any, others: Any, most: int, pad: bool) -> Any:
-    """Compute results for N windows in pieces of equal size, so that few programs are compiled.
+def run_in_pieces(run: Callable[..., Any], poses: Any, steps: Any, others: Any, size: int, pad: bool) -> Any:
+    """Compute results for windows in pieces of equal size, so that few programs are compiled.
 
-    A piece has ``most`` windows; the last piece repeats its last window. Up to eight windows are computed one
-    by one.
+    Up to eight windows are computed one by one, without a leading axis. The last piece repeats a window.
 
     Args:
-        run: function of poses, steps, numbers of poses (N,) or None, and ``others``. JAX compiles it once for
-            each shape of the poses.
-        poses: (N, K+1, 4, 4).
-        steps: (K,) or (N, K) s.
-        others: pytree of arrays with a leading axis (N,).
-        most: number of windows in a piece.
+        run: function of the poses, the steps, the number of poses before the padding or None, and ``others``
+            of a window or a piece. JAX compiles it once for each shape of the poses.
+        poses: (..., K+1, 4, 4).
+        steps: (K,) or (..., K) s.
+        others: pytree of arrays with the leading axes of ``poses``.
+        size: number of windows in a piece.
         pad: whether to pad windows to :func:`padded_size`, with copies of their last pose and step.
 
     Returns:
-        The results of ``run`` for all windows, concatenated.
+        The results of ``run`` for all windows, with the leading axes of ``poses``.
     """
-    count, length = poses.shape[:2]
-    fill = padded_size(length) - length if pad else 0
-    if fill:
-        xp = jnp if isinstance(poses, jax.Array) else np
-        poses = xp.concatenate([poses, xp.repeat(poses[:, -1:], fill, axis=1)], axis=1)
-        xp = jnp if isinstance(steps, jax.Array) else np
-        steps = xp.concatenate([steps, xp.repeat(steps[..., -1:], fill, axis=-1)], axis=-1)
-    size = most if count > _SINGLE else 1
-    # windows with equal times and windows with different times use the same program
-    xp = jnp if isinstance(steps, jax.Array) else np
-    steps = xp.broadcast_to(steps, (count, steps.shape[-1]))
-    # a window that needs no padding uses the same program as windows that do
-    lengths = np.full(size, length, np.int32) if pad and length >= _FEWEST else None
+    (*batch, length), count = poses.shape[:-2], math.prod(poses.shape[:-3])
+    padded = padded_size(length) if pad else length
+    # windows with and without padding use the same program
+    before = np.int32(length) if pad and length >= _FEWEST else None
+    # and so do windows with equal and different times
+    steps = (jnp if isinstance(steps, jax.Array) else np).broadcast_to(steps, (*batch, length - 1))
 
-    def run_piece(start: int) -> Any:
-        rows = np.minimum(np.arange(start, start + size), count - 1)
-        part = slice(start, start + size) if start + size <= count else rows
-        return run(poses[part], steps[part], lengths, jax.tree.map(lambda leaf: leaf[part], others))
+    def run_rows(rows: Any) -> Any:
+        part = jax.tree.map(lambda a: a[rows], windows)
+        fill = np.minimum(np.arange(padded), length - 1)
+        return run(part[0].take(fill, -3), part[1].take(fill[1:] - 1, -1), before, part[2])
 
-    starts = range(0, count, size)
-    parts = [run_piece(0)]  # compiles the program
-    if len(starts) > 2 and jax.default_backend() == "cpu":
-        # XLA runs the short operations of a piece on one processor, so threads run several pieces
-        wide = in_float64()  # each thread has its own setting
-
-        def run_on_thread(start: int) -> Any:
-            with jax.enable_x64(wide):
-                return jax.block_until_ready(run_piece(start))
-
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            parts += pool.map(run_on_thread, starts[1:])
+    windows = poses, steps, others
+    if not batch:
+        return run_rows(...)
+    windows = jax.tree.map(lambda a: a.reshape(-1, *a.shape[len(batch) :]), windows)
+    if count <= _SINGLE:
+        singles = jax.device_get([run_rows(row) for row in range(count)])
+        found = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *singles)
     else:
-        parts += [run_piece(start) for start in starts[1:]]
-    return join_parts(parts, count)
+        found = join_parts(_run_pieces(run_rows, count, size), count)
+    return found if len(batch) == 1 else jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
+
+
+def _run_pieces(run_rows: Callable[[Any], Any], count: int, size: int) -> list[Any]:
+    """Run pieces of ``size`` of ``count`` rows, several at a time on a CPU."""
+    starts = range(0, count, size)
+    last = np.minimum(np.arange(starts[-1], starts[-1] + size), count - 1)
+    pieces = [*(slice(start, start + size) for start in starts[:-1]), last]
+    parts = [run_rows(pieces[0])]  # compiles the program
+    if len(pieces) < 3 or jax.default_backend() != "cpu":
+        return parts + [run_rows(rows) for rows in pieces[1:]]
+    # XLA runs the short operations of a piece on one processor, so threads run several pieces
+    wide = in_float64()  # each thread has its own setting
+
+    def run_on_thread(rows: Any) -> Any:
+        with jax.enable_x64(wide):
+            return jax.block_until_ready(run_rows(rows))
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return parts + list(pool.map(run_on_thread, pieces[1:]))

@@ -117,19 +117,10 @@ def held_covariance(weights: Array, products: Array, entry: Table) -> Array:
     return jnp.stack([covariance[:, :3, :3], covariance[:, 3:, 3:]], axis=1)
 
 
-def _cofactors(s: Array) -> tuple[Array, Array]:
-    """Cofactors and determinant of symmetric (..., 3, 3)."""
-    a, b, c = s[..., 0, 0], s[..., 0, 1], s[..., 0, 2]
-    d, e, f = s[..., 1, 1], s[..., 1, 2], s[..., 2, 2]
-    p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
-    u, v, w = a * f - c * c, b * c - a * e, a * d - b * b
-    rows = [p, q, r, q, u, v, r, v, w]
-    return jnp.stack(rows, axis=-1).reshape(s.shape), a * p + b * q + c * r
-
-
 def _log_determinants(covariance: Array) -> Array:
     """Log determinants (S,) of the covariances (S, 2, 3, 3) of rotations and translations, added up."""
-    _, det = _cofactors(covariance)
+    (a, b, c), (_, d, e), (_, _, f) = jnp.moveaxis(covariance, (-2, -1), (0, 1))
+    det = a * (d * f - e * e) + b * (c * e - b * f) + c * (b * e - c * d)
     return jnp.sum(jnp.log(jnp.maximum(det, jnp.finfo(det.dtype).tiny)), axis=-1)
 
 

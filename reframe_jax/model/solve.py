@@ -28,7 +28,7 @@ from reframe_jax.model.steps import Unknowns, descend
 from reframe_jax.model.table import ENTRIES, LINEAR_KINDS, ROWS, TABLE, Table, entries_at
 
 Array = jax.Array
-CANDIDATES = 8  # entries that are fitted: with poor starting parameters, the right one may rank only seventh
+CANDIDATES = 7  # entries that are fitted; with poor starting parameters, the right one may rank only fifth
 
 
 class Solved(NamedTuple):
@@ -36,13 +36,13 @@ class Solved(NamedTuple):
 
     Attributes:
         log_probability: (N, E) of every entry; entries that were not fitted have their starting parameters.
-        parameters: of the C fitted entries, with axes (N, C) in front.
+        parameters: of the C chosen entries, with axes (N, C) in front.
         origins: (N, 4, 3) m, origin with the lowest norm for every linear type.
         norm: (N, 4) F at these origins.
         linear_axes: (N, 4, 3, 3) common axes of every linear type, by ascending amplitude.
         angular_axes: (N, 2, 3, 3) common axes of the rotation in ground and body, by ascending amplitude.
         starts: starting parameters of every entry, with axes (N, E) in front.
-        chosen: (N, C) codes of the fitted entries.
+        chosen: (N, C) codes of the fitted entries, and of those without parameters.
         tilt_scale: (N,) rad, size of the tilt in the fit.
 
     Without a comparison of entries, the probabilities are NaN, and ``parameters`` and ``chosen`` are None.
@@ -181,9 +181,12 @@ class _Evaluated(NamedTuple):
 def _compare_entries(
     problem: _Comparison, windows: WindowStatistics, assume: tuple[int, ...] | None
 ) -> tuple[Array, Array, Parameters]:
-    """Log probability (E, N) of all entries; codes (C, N) and parameters (N, C, ...) of the fitted ones."""
+    """Log probability (E, N) of all entries; codes (C, N) and parameters (N, C, ...) of the chosen ones."""
     details, number = problem.details, len(ENTRIES)
-    allowed = np.isin(np.arange(number), np.arange(number) if assume is None else assume)[:, None]
+    # entries without parameters, such as "fixed", are exact from the start
+    exact = np.flatnonzero(np.asarray(TABLE.parameters) == 0 if assume is None else np.zeros(number))
+    allowed = np.isin(np.arange(number), np.arange(number) if assume is None else assume)
+    allowed[exact] = False
     size = CANDIDATES if assume is None else min(CANDIDATES, len(assume))
     blocks = -(-number // size)
     codes = jnp.asarray(np.resize(np.arange(number, dtype=np.int32), (blocks, size)))
@@ -199,7 +202,7 @@ def _compare_entries(
     def fit(_: Array, rounds: _Evaluated) -> tuple[Array, Forms, Unknowns]:
         """Fit the most probable entries."""
         screened: _Evaluated = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
-        rank = jnp.where(allowed, log_probability(screened), -jnp.inf)
+        rank = jnp.where(allowed[:, None], log_probability(screened), -jnp.inf)
         best = jax.lax.top_k(rank.T, size)[1].T
         entries = entries_at(best)
         start = jax.tree.map(
@@ -237,7 +240,11 @@ def _compare_entries(
     both = jax.tree.map(lambda one, other: jnp.concatenate([one, other], axis=-2), screened, fitted)
     values = log_probability(both)
     everywhere = jnp.max(jnp.where(same, values[None, number:], values[:number, None]), axis=1)
-    return everywhere, fitted.codes, _parameters(fitted.at, entries_at(fitted.codes), windows)
+    codes = jnp.concatenate([fitted.codes, jnp.broadcast_to(exact[:, None], (len(exact), details.shape[1]))])
+    at = jax.tree.map(
+        lambda one, other: jnp.concatenate([one, other[..., exact, :]], axis=-2), fitted.at, problem.starts
+    )
+    return everywhere, codes, _parameters(at, entries_at(codes), windows)
 
 
 def _flat(leaf: Array) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 from reframe_jax.geometry.small import (
     axial,
     crosses,
-    inverse_and_determinant,
+    invert_symmetric,
     materialize,
     rotate,
     sandwich,
@@ -26,6 +26,7 @@ from reframe_jax.geometry.small import (
     trace,
     unit_matrix,
 )
+from reframe_jax.geometry.symmetric import INDEX_PAIRS, PACKED
 from reframe_jax.model.descent import Local, levenberg_marquardt
 
 Array = jax.Array
@@ -88,7 +89,8 @@ def _held(form: Array, held: Array, details: Array) -> tuple[Array, Array]:
     small = jnp.finfo(form.dtype).tiny ** 0.5
     unit = unit_matrix(form.dtype, form.ndim - 2)
     lifted = jnp.where(both, form, 0) + unit * jnp.where(held, small, 1)[:, None, None]
-    inverse, det = inverse_and_determinant(lifted)
+    inverse, det = invert_symmetric([lifted[i, j] for i, j in INDEX_PAIRS])
+    inverse = inverse[np.array(PACKED, np.int32)]
     count = details[:, None]
     return materialize(jnp.where(both, inverse * count, 0)), total(count * jnp.log(det), 0, 1)
 

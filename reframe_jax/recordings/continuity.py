@@ -11,7 +11,7 @@ import numpy as np
 
 _FEWEST = 5  # poses; fewer look unordered by chance
 _ORDERS = 39  # random orders; separate touches are smoother than all of them in 1 of 40 cases
-_SMOOTH = 0.35  # measure of an order that needs no comparison
+_SMOOTH = 0.6  # mean measure of steps, over that of distant poses, at which a path needs no comparison
 _SMOOTHER = 0.7  # largest measure of a motion over the mean measure of random orders
 _SAME = 1e-6  # relative difference of the measures of an order and of its reverse, by rounding
 _MOVED = 0.02, 0.1  # m and rad, median distances above the noise of a body at rest
@@ -32,18 +32,22 @@ def is_unordered(poses: np.ndarray) -> bool:
         starts = np.linspace(0, len(poses) - _LENGTH, _WINDOWS).astype(int)
         poses = poses[(starts[:, None] + np.arange(_LENGTH)).ravel()]
     count = len(poses)
-    before, here, after = _orders(count, count if whole else _LENGTH)
-    own = before[0] * count + here[0]
-    found = []
     # the distance between two rotation matrices is about sqrt(2) times the angle
-    for numbers in (poses[:, :3, 3], poses[:, :3, :3].reshape(count, 9) / np.sqrt(2)):
+    both = poses[:, :3, 3], poses[:, :3, :3].reshape(count, 9) / np.sqrt(2)
+    part = count if whole else _LENGTH
+    for numbers in both if count >= _LENGTH else ():
+        steps = np.diff(numbers.reshape(-1, part, numbers.shape[1]), axis=1)
+        across = np.concatenate([numbers[lag:] - numbers[:-lag] for lag in (count // 3, count // 2)])
+        steps, across = (np.sqrt(np.sqrt(np.square(rows).sum(axis=-1))) for rows in (steps, across))
+        if steps.mean() < _SMOOTH * across.mean():
+            return False
+    before, here, after = _orders(count, part)
+    found = []
+    for numbers in both:
         squares = np.zeros(count**2)
         for columns in np.ascontiguousarray(numbers.T).reshape(-1, 3, count):
             apart = columns[:, :, None] - columns[:, None]
             squares += np.square(apart, out=apart).sum(axis=0).ravel()
-        roots = np.sqrt(np.sqrt(squares))
-        if roots[own].mean() < _SMOOTH * roots.mean():  # the mean of all orders is almost that of all pairs
-            return False
         found.append(squares)
     pairs = before * count + here, here * count + after, before * count + after
     steps, onward, across = (np.stack(found).take(each, axis=1) for each in pairs)

@@ -131,8 +131,7 @@ def covariance(
     therefore also fits halves and thirds of the recording, and compares redundant estimates: the axis from
     positions with the axis from rotations. If their differences exceed chance, the half-widths of 95 %
     intervals are at least as large as these differences; a part counts only in directions that its motion
-    determines. The covariance assumes that the identified types
-    and degrees of freedom are correct.
+    determines. The covariance assumes that the identified types and degrees of freedom are correct.
 
     Args:
         found: the identification of these poses by :func:`reframe_jax.identify`, with the default norm and

@@ -118,24 +118,23 @@ def over_windows(
         tracing = inside_trace((array, steps, estimate))
         program = _program_in_trace if tracing else _program
         run = partial(program, function=function, scales=take_scales(scales, array.shape[-3]), **static)
-        batch = array.shape[:-3]
-        steps = (np if wide else jnp).broadcast_to(steps, (*batch, array.shape[-3] - 1))
-        array, steps, estimate = jax.tree.map(
-            lambda leaf: leaf.reshape((-1, *leaf.shape[len(batch) :])), (array, steps, estimate)
-        )
         if tracing:
             result = run(array, steps, None, estimate)
         else:
-            most = _CHUNK.get(jax.default_backend(), 256)
-            result = run_in_pieces(run, array, steps, estimate, most, True)
-        result = jax.tree.map(lambda leaf: leaf.reshape((*batch, *leaf.shape[1:])), result)
+            size = _CHUNK.get(jax.default_backend(), 256)
+            result = run_in_pieces(run, array, steps, estimate, size, True)
     return narrow(result) if wide else result
 
 
 def _run(
-    poses: Any, steps: Any, count: Any, found: Estimate, *, function: Any, scales: Any, **static: Any
+    poses: Any, steps: Any, length: Any, found: Estimate, *, function: Any, scales: Any, **static: Any
 ) -> Any:
-    """Prepare poses for the fit, and call the function; ``count`` (N,) are the poses before the padding."""
+    """Prepare poses (..., K+1, 4, 4) for the fit, and call the function; see :func:`run_in_pieces`."""
+    batch = poses.shape[:-3]
+    steps = jnp.broadcast_to(steps, (*batch, steps.shape[-1]))
+    given = poses, steps, found
+    poses, steps, found = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(batch) :]), given)
+    count = None if length is None else jnp.full(len(poses), length)
     with jax.default_matmul_precision("highest"):
         window = jax.lax.stop_gradient(prepare_windows(poses, steps, count, None, scales))
         used = choose_scales(window.moments, window.noise, scales)
@@ -144,7 +143,8 @@ def _run(
         axes = rotation_exp(jnp.stack([found.angular.rotvec, found.linear.rotvec], axis=1))
         start = jax.vmap(_start)(found, axes, window.centre, mean, entry)
         windows = Windows(window.box, used, mean, entry, start, found, axes)
-        return function(window, windows, scales=scales, **static)
+        result = function(window, windows, scales=scales, **static)
+    return jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), result)
 
 
 _program, _program_in_trace = jit_pair(_run, ("function", "scales", "parts"))
