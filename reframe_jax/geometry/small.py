@@ -22,14 +22,14 @@ def materialize(values: T) -> T:
     Without this function, XLA may compute the arrays again in every operation that reads them. On a GPU, this
     costs less than the memory traffic, so the function returns its argument. On a CPU, it is a conditional
     whose predicate is always true but unknown to the compiler, which removes an ``optimization_barrier`` too
-    early.
+    early. The branches return the same values, but the barrier keeps the compiler from merging them.
     """
     if jax.default_backend() != "cpu":
         return values
     first = next(leaf for leaf in jax.tree.leaves(values) if jnp.issubdtype(leaf.dtype, jnp.floating))
     corner = jax.lax.slice(first, (0,) * first.ndim, (1,) * first.ndim)
     always = jax.lax.reshape(corner, ()) != _NO_MOMENT
-    return jax.lax.cond(always, lambda x: x, lambda x: jax.tree.map(jnp.zeros_like, x), values)
+    return jax.lax.cond(always, lambda x: x, jax.lax.optimization_barrier, values)
 
 
 def total(array: Array, *axes: int) -> Array:

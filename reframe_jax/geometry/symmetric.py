@@ -76,6 +76,17 @@ def eigh(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
     return values, vectors
 
 
+def ascending_eigh(s: Symmetric) -> tuple[jax.Array, jax.Array]:
+    """Return the eigenvalues (..., 3) in ascending order, and the eigenvectors (..., 3, 3) as columns.
+
+    In a batch on a CPU, ``jnp.linalg.eigh`` waits for threads that may all be waiting in other programs.
+    """
+    values, vectors = (jnp.moveaxis(jnp.stack(jax.tree.leaves(part)), 0, -1) for part in eigh(s))
+    order = jnp.argsort(values, axis=-1)
+    axes = jnp.swapaxes(vectors.reshape(*values.shape, 3), -1, -2)
+    return jnp.take_along_axis(values, order, -1), jnp.take_along_axis(axes, order[..., None, :], -1)
+
+
 def quadratic_form(a: Vector, s: Symmetric, b: Vector) -> jax.Array:
     """Return a^T S b (...), for vectors of three arrays (...) and S of six arrays (...)."""
     return sum(a[i] * s[PACKED[i][j]] * b[j] for i in range(3) for j in range(3))  # type: ignore[return-value]

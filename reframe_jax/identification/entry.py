@@ -27,7 +27,7 @@ from reframe_jax.recordings.lost import find_lost_poses
 from reframe_jax.recordings.recording import name_rows
 from reframe_jax.solvers import Solver
 
-_CHUNK = {"cpu": 32, "gpu": 16384}  # windows per program: their arrays fit the cache, or the memory
+_CHUNK = {"cpu": 64, "gpu": 16384}  # windows per program: their arrays fit the cache, or the memory
 
 
 def identify(

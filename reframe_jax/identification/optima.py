@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.geometry.symmetric import ascending_eigh
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.solve import Solved
 from reframe_jax.model.table import KINDS, LINEAR_KINDS, ROWS
@@ -91,9 +92,7 @@ def types_of_steps(moments: tuple[Array, Array], solved: Solved, exponent: float
     x = jnp.moveaxis(solved.origins, -1, 0)
 
     def optimum(sigma: tuple[Array, ...]) -> tuple[Array, Array, Array]:
-        a, b, c, d, e, f = sigma
-        matrix = jnp.stack([a, b, c, b, d, e, c, e, f], axis=-1).reshape(*a.shape, 3, 3)
-        values, axes = jnp.linalg.eigh(matrix)
+        values, axes = ascending_eigh(sigma)
         rms = jnp.sqrt(jnp.maximum(values, jnp.finfo(values.dtype).tiny))
         turned = jnp.linalg.det(axes)[..., None, None] < 0
         axes = jnp.where(turned & (jnp.arange(3) == 0), -axes, axes)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import index_leaves
+from reframe_jax.geometry.small import solve_positive
 from reframe_jax.identification.naming import constraint_of
 from reframe_jax.identification.options import Scales
 from reframe_jax.identification.preparation import Prepared
@@ -142,7 +143,7 @@ def _independent_motions(
     level = noise * jnp.square(unit)
     # the noise term excludes differences of proportional velocities, which contain no signal
     lifted = rest + jnp.diag(jnp.where(free, level + 1e-9, 1))
-    constant = (mean * unit) @ jnp.linalg.solve(lifted, mean * unit)
+    constant = (mean * unit) @ solve_positive(lifted, mean * unit)
     least = jnp.maximum(_NOISES**2 * level, _PROPORTIONAL)
     number = jnp.zeros((), jnp.int32)
     for _ in range(6):  # pivoted elimination: subtract the projection on one motion from the others

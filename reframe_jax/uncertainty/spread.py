@@ -5,6 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.calibration.robust import NORMAL_FACTOR, student_factor
+from reframe_jax.geometry.small import invert_symmetric, solve_positive
+from reframe_jax.geometry.symmetric import INDEX_PAIRS, ascending_eigh, to_matrix
 from reframe_jax.model.fit import held_covariance
 from reframe_jax.uncertainty.refit import BLOCKS, SPANS, Refit
 
@@ -26,8 +28,9 @@ def _row_precision(fit: Refit) -> Array:
     """Inverse covariance (S, 2, 6, 6) of constrained coordinates by scale, for rotations and translations."""
     covariance = held_covariance(fit.weights, fit.products, fit.entry)
     unit = jnp.sqrt(jnp.diagonal(covariance, axis1=2, axis2=3))
-    inverse = jnp.linalg.inv(covariance / unit[..., :, None] / unit[..., None, :])
-    inverse = inverse / unit[..., :, None] / unit[..., None, :]
+    scaled = covariance / unit[..., :, None] / unit[..., None, :]
+    inverse, _ = invert_symmetric([scaled[..., i, j] for i, j in INDEX_PAIRS])
+    inverse = to_matrix(tuple(inverse)) / unit[..., :, None] / unit[..., None, :]
     whole = jnp.zeros((len(inverse), 2, 6, 6), inverse.dtype)
     whole = whole.at[:, 0, :3, :3].set(inverse[:, 0]).at[:, 1, 3:, 3:].set(inverse[:, 1])
     return jnp.where(fit.entry.held[:, None] & fit.entry.held[None], whole, 0)
@@ -50,7 +53,10 @@ def _posterior(total: Array, prior: Array) -> Array:
     """Covariance (9, 9) of parameters from their information (9, 9) and prior standard deviations (9,)."""
     precision = total + jnp.diag(1 / jnp.square(prior))
     unit = 1 / jnp.sqrt(jnp.diagonal(precision))
-    return unit[:, None] * unit[None] * jnp.linalg.inv(precision * unit[:, None] * unit[None])
+    inverse = solve_positive(
+        (precision * unit[:, None] * unit[None])[:, :, None], jnp.eye(9, dtype=unit.dtype)
+    )
+    return unit[:, None] * unit[None] * inverse
 
 
 def covariances_of_motions(fit: Refit, products: Array, details: Array, known: Array | float = 0.0) -> Array:
@@ -192,5 +198,5 @@ def _blocks(covariance: Array) -> Array:
 
 def _principal(groups: Array) -> tuple[Array, Array, Array]:
     """Variances (..., 3) and principal axes (..., 3, 3) of covariances; whether a variance exceeds zero."""
-    values, axes = jnp.linalg.eigh(groups)
+    values, axes = ascending_eigh(tuple(groups[..., i, j] for i, j in INDEX_PAIRS))
     return values, axes, values > _KNOWN * values[..., -1:]
