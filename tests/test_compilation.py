@@ -71,6 +71,21 @@ def test_the_program_stays_small() -> None:
     assert 1_000 < count_equations(program.jaxpr) <= 12_000
 
 
+@pytest.mark.parametrize("options", [{}, {"scales": 1, "thresholds": rf.Thresholds()}])
+def test_programs_do_not_call_lapack(options: dict[str, Any]) -> None:
+    """Its calls wait for threads that may all wait in other programs, which run at the same time."""
+
+    def run(poses: jax.Array) -> Any:
+        found = rf.identify(poses, dt=0.1, **options)
+        return found, rf.covariance(found, poses, dt=0.1), rf.excitation(found, poses, dt=0.1)
+
+    with jax.enable_x64(True):
+        program = jax.jit(run).lower(jax.ShapeDtypeStruct((16, 51, 4, 4), jnp.float64))
+    assert "lapack" not in program.as_text()
+    inverse = jax.jit(jnp.linalg.inv).lower(jnp.zeros((2, 3, 3)))
+    assert jax.default_backend() != "cpu" or "lapack" in inverse.as_text()
+
+
 PRINT_HASH = """
 import hashlib, jax, jax.numpy as jnp, reframe_jax as rf
 jax.config.update("jax_enable_x64", True)

@@ -110,11 +110,7 @@ def identify(
 
 
 def identify_unchecked(
-    poses: ArrayLike,
-    times: ArrayLike | None,
-    dt: ArrayLike | None,
-    options: Options,
-    inside_a_trace: bool = False,
+    poses: Any, times: Any, dt: Any, options: Options, inside_a_trace: bool = False
 ) -> Identification:
     """Identify as :func:`identify` does, without the checks for poses without order and for lost tracking."""
     _, _, norm, discretization, thresholds, _, solver, key = options
@@ -171,11 +167,10 @@ def _warn_of_lost_rows(poses: np.ndarray, times: Any) -> None:
 def _on_host(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
     """Identify windows (..., K+1, 4, 4) in pieces of few shapes, so that few programs are compiled."""
     pad = not run.keywords["scales"]  # velocities of single steps must not see the padding
-
-    def of_piece(poses: Any, steps: Any, length: Any, _: Any) -> Identification:
-        return run(poses, steps, length, *options)
-
-    found: Identification = run_in_pieces(of_piece, poses, steps, None, _chunk(), pad)
+    size = _CHUNK.get(jax.default_backend(), _CHUNK["gpu"])
+    found: Identification = run_in_pieces(
+        lambda poses, steps, length, _: run(poses, steps, length, *options), poses, steps, None, size, pad
+    )
     return replace(found, counted=jax.lax.slice_in_dim(found.counted, 0, poses.shape[-3], axis=-1))
 
 
@@ -216,10 +211,6 @@ def _program_for_mesh(mesh: Mesh, axis: Any, own_steps: bool, *static: tuple[str
     return jax.jit(run, compiler_options=COMPILER_OPTIONS)
 
 
-def _chunk() -> int:
-    return _CHUNK.get(jax.default_backend(), 1024)
-
-
 def _identify_flat(
     poses: jax.Array,
     steps: jax.Array,
@@ -242,15 +233,15 @@ def _identify_flat(
         with jax.default_matmul_precision("highest"):  # a GPU would round single precision to ten bits
             return identify_windows(poses, steps, count, bounds, thresholds, key, **static)
 
-    number, chunk = len(split[0]), _chunk()
+    number, chunk = len(split[0]), _CHUNK.get(jax.default_backend(), _CHUNK["gpu"])
     if number <= chunk:
         found = of_windows(split)
     else:
         fill = np.minimum(np.arange(-(-number // chunk) * chunk), number - 1)
         split = jax.tree.map(lambda a: a[fill] if len(fill) > number else a, split)
         split = jax.tree.map(lambda a: a.reshape(-1, chunk, *a.shape[1:]), split)
-        found = jax.lax.map(of_windows, split)
-        found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:number], found)
+        of_chunks = jax.lax.map(of_windows, split)
+        found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:number], of_chunks)
     return jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
 
 

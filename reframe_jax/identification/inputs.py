@@ -171,9 +171,8 @@ def run_in_pieces(run: Callable[..., Any], poses: Any, steps: Any, others: Any, 
     """
     (*batch, length), count = poses.shape[:-2], math.prod(poses.shape[:-3])
     padded = padded_size(length) if pad else length
-    # windows with and without padding use the same program
+    # windows with and without padding, and with equal and different times, use the same program
     before = np.int32(length) if pad and length >= _FEWEST else None
-    # and so do windows with equal and different times
     steps = (jnp if isinstance(steps, jax.Array) else np).broadcast_to(steps, (*batch, length - 1))
 
     def run_rows(rows: Any) -> Any:
@@ -195,9 +194,8 @@ def run_in_pieces(run: Callable[..., Any], poses: Any, steps: Any, others: Any, 
 
 def _run_pieces(run_rows: Callable[[Any], Any], count: int, size: int) -> list[Any]:
     """Run pieces of ``size`` of ``count`` rows, several at a time on a CPU."""
-    starts = range(0, count, size)
-    last = np.minimum(np.arange(starts[-1], starts[-1] + size), count - 1)
-    pieces = [*(slice(start, start + size) for start in starts[:-1]), last]
+    last = np.minimum(np.arange(size) + (count - 1) // size * size, count - 1)
+    pieces = [*(slice(start, start + size) for start in range(0, count - size, size)), last]
     parts = [run_rows(pieces[0])]  # compiles the program
     if len(pieces) < 3 or jax.default_backend() != "cpu":
         return parts + [run_rows(rows) for rows in pieces[1:]]

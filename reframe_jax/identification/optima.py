@@ -94,8 +94,7 @@ def types_of_steps(moments: tuple[Array, Array], solved: Solved, exponent: float
     def optimum(sigma: tuple[Array, ...]) -> tuple[Array, Array, Array]:
         values, axes = ascending_eigh(sigma)
         rms = jnp.sqrt(jnp.maximum(values, jnp.finfo(values.dtype).tiny))
-        turned = jnp.linalg.det(axes)[..., None, None] < 0
-        axes = jnp.where(turned & (jnp.arange(3) == 0), -axes, axes)
+        axes = axes * jnp.where(jnp.arange(3) == 0, jnp.sign(jnp.linalg.det(axes))[..., None, None], 1)
         return axes, rms, jnp.exp(log_power_mean(jnp.moveaxis(jnp.log(rms), -1, 0), exponent))
 
     of_angular = optimum(covariance_at(angular, (zero, zero, zero)))

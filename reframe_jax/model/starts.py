@@ -110,8 +110,7 @@ def universal_axes(axes: Axes, products: Array, details: Array, mean: Array) -> 
     forms = forms[:, :, :, :, :, None]
     a, b, value = crossed_axes(forms, details[:, None], mean[:, :, None], a, b, _CROSS_STEPS)
     best = jnp.argmin(value, axis=0)[None, None]
-    a, b = (jnp.take_along_axis(v, best, axis=1)[:, 0] for v in (a, b))
-    return a, b
+    return jnp.take_along_axis(a, best, axis=1)[:, 0], jnp.take_along_axis(b, best, axis=1)[:, 0]
 
 
 def entry_starts(

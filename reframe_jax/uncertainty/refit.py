@@ -132,8 +132,7 @@ def _run(
     """Prepare poses (..., K+1, 4, 4) for the fit, and call the function; see :func:`run_in_pieces`."""
     batch = poses.shape[:-3]
     steps = jnp.broadcast_to(steps, (*batch, steps.shape[-1]))
-    given = poses, steps, found
-    poses, steps, found = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(batch) :]), given)
+    poses, steps, found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[len(batch) :]), (poses, steps, found))
     count = None if length is None else jnp.full(len(poses), length)
     with jax.default_matmul_precision("highest"):
         window = jax.lax.stop_gradient(prepare_windows(poses, steps, count, None, scales))

@@ -27,10 +27,7 @@ _PRIOR = 0.03  # information of the prior of a part, as a fraction of what a par
 def _row_precision(fit: Refit) -> Array:
     """Inverse covariance (S, 2, 6, 6) of constrained coordinates by scale, for rotations and translations."""
     covariance = held_covariance(fit.weights, fit.products, fit.entry)
-    unit = jnp.sqrt(jnp.diagonal(covariance, axis1=2, axis2=3))
-    scaled = covariance / unit[..., :, None] / unit[..., None, :]
-    inverse, _ = invert_symmetric([scaled[..., i, j] for i, j in INDEX_PAIRS])
-    inverse = to_matrix(tuple(inverse)) / unit[..., :, None] / unit[..., None, :]
+    inverse = to_matrix(tuple(invert_symmetric([covariance[..., i, j] for i, j in INDEX_PAIRS])[0]))
     whole = jnp.zeros((len(inverse), 2, 6, 6), inverse.dtype)
     whole = whole.at[:, 0, :3, :3].set(inverse[:, 0]).at[:, 1, 3:, 3:].set(inverse[:, 1])
     return jnp.where(fit.entry.held[:, None] & fit.entry.held[None], whole, 0)
