@@ -139,7 +139,7 @@ def identify_unchecked(
         )
         if inside_a_trace or 0 in array.shape[:-3]:
             found = run(array, steps, None, *arrays)
-        elif _is_distributed(array):
+        elif array.ndim > 3 and _is_distributed(array):
             found = _on_mesh(run, array, steps, arrays)
         else:
             found = _on_host(run, array, steps, arrays)
@@ -167,9 +167,8 @@ def _warn_of_lost_rows(poses: np.ndarray, times: Any) -> None:
 def _on_host(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
     """Identify windows (..., K+1, 4, 4) in pieces of few shapes, so that few programs are compiled."""
     pad = not run.keywords["scales"]  # velocities of single steps must not see the padding
-    size = _CHUNK.get(jax.default_backend(), _CHUNK["gpu"])
     found: Identification = run_in_pieces(
-        lambda poses, steps, length, _: run(poses, steps, length, *options), poses, steps, None, size, pad
+        lambda poses, steps, length, _: run(poses, steps, length, *options), poses, steps, None, _chunk(), pad
     )
     return replace(found, counted=jax.lax.slice_in_dim(found.counted, 0, poses.shape[-3], axis=-1))
 
@@ -211,6 +210,10 @@ def _program_for_mesh(mesh: Mesh, axis: Any, own_steps: bool, *static: tuple[str
     return jax.jit(run, compiler_options=COMPILER_OPTIONS)
 
 
+def _chunk() -> int:
+    return _CHUNK.get(jax.default_backend(), 1024)
+
+
 def _identify_flat(
     poses: jax.Array,
     steps: jax.Array,
@@ -224,7 +227,6 @@ def _identify_flat(
     key = jax.random.key(0) if key is None else key
     batch = poses.shape[:-3]
     steps = jnp.broadcast_to(steps.astype(poses.dtype), (*batch, steps.shape[-1]))
-
     split = poses.reshape(-1, *poses.shape[-3:]), steps.reshape(-1, steps.shape[-1])
 
     def of_windows(windows: tuple[jax.Array, jax.Array]) -> Identification:
@@ -233,7 +235,7 @@ def _identify_flat(
         with jax.default_matmul_precision("highest"):  # a GPU would round single precision to ten bits
             return identify_windows(poses, steps, count, bounds, thresholds, key, **static)
 
-    number, chunk = len(split[0]), _CHUNK.get(jax.default_backend(), _CHUNK["gpu"])
+    number, chunk = len(split[0]), _chunk()
     if number <= chunk:
         found = of_windows(split)
     else:

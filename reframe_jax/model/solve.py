@@ -184,7 +184,7 @@ def _compare_entries(
     """Log probability (E, N) of all entries; codes (C, N) and parameters (N, C, ...) of the chosen ones."""
     details, number = problem.details, len(ENTRIES)
     # entries without parameters, such as "fixed", are exact from the start
-    exact = np.flatnonzero(np.asarray(TABLE.parameters) == 0 if assume is None else np.zeros(number))
+    exact = np.flatnonzero((TABLE.parameters == 0) & (assume is None)).astype(np.int32)
     allowed = np.isin(np.arange(number), np.arange(number) if assume is None else assume)
     allowed[exact] = False
     size = CANDIDATES if assume is None else min(CANDIDATES, len(assume))

@@ -50,10 +50,8 @@ def _posterior(total: Array, prior: Array) -> Array:
     """Covariance (9, 9) of parameters from their information (9, 9) and prior standard deviations (9,)."""
     precision = total + jnp.diag(1 / jnp.square(prior))
     unit = 1 / jnp.sqrt(jnp.diagonal(precision))
-    inverse = solve_positive(
-        (precision * unit[:, None] * unit[None])[:, :, None], jnp.eye(9, dtype=unit.dtype)
-    )
-    return unit[:, None] * unit[None] * inverse
+    scaled = precision * unit[:, None] * unit[None]
+    return unit[:, None] * unit[None] * solve_positive(scaled[:, :, None], jnp.eye(9, dtype=unit.dtype))
 
 
 def covariances_of_motions(fit: Refit, products: Array, details: Array, known: Array | float = 0.0) -> Array:
