@@ -12,12 +12,15 @@ from reframe_jax.program_cache import can_keep, load_or_export, platform_of
 
 _T = TypeVar("_T")
 
-COMPILER_OPTIONS = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else None
+OLD_EMITTERS = jax.__version_info__ < (0, 11)
+COMPILER_OPTIONS: dict[str, int | bool] = {"xla_backend_optimization_level": 2} | (
+    {"xla_cpu_use_fusion_emitters": False} if OLD_EMITTERS else {}
+)
 """Options of ``jax.jit`` for large programs that are not inside another ``jit``.
 
-On a CPU, compilation takes half the time (``python -m benchmarks.first_answer``), and programs are no slower.
-jax 0.11 has no such option for a single program; the environment variable
-``XLA_FLAGS=--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters`` does the same for all programs.
+On a CPU, programs compile in less than half the time (``python -m benchmarks.first_answer``), and are about
+as fast. jax 0.11 cannot select the older code generator for a single program; the environment variable
+``XLA_FLAGS=--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters`` does so for all programs.
 """
 
 
@@ -25,10 +28,12 @@ class Program:
     """A large function, compiled for calls outside of a trace, with the options above.
 
     It is kept between processes, see :func:`reframe_jax.cache_programs`. Static arguments are given by name.
+    For calls inside of a trace, where JAX does not allow these options, there is ``in_trace``.
     """
 
     def __init__(self, function: Callable[..., Any], static: tuple[str, ...]) -> None:
         self.function = function
+        self.in_trace = jax.jit(function, static_argnames=static)
         self.jitted = jax.jit(function, static_argnames=static, compiler_options=COMPILER_OPTIONS)
         self._kept: dict[Any, tuple[Callable[..., Any], Any]] = {}
 
@@ -65,15 +70,6 @@ def _unbound(leaves: list[Any]) -> list[Any]:
         else leaf
         for leaf in leaves
     ]
-
-
-def jit_pair(function: Callable[..., Any], static: tuple[str, ...]) -> tuple[Program, Any]:
-    """Compile a large function with named static arguments in two variants.
-
-    They are the program for calls outside of a trace, and the function for calls inside of a trace, where JAX
-    does not allow :data:`COMPILER_OPTIONS`.
-    """
-    return Program(function, static), jax.jit(function, static_argnames=static)
 
 
 def in_float64() -> bool:
@@ -119,17 +115,6 @@ def index_leaves(tree: _T, index: Any) -> _T:
             if step == 1:
                 return _take_rows(tree, start, max(0, stop - start))
     return jax.tree.map(lambda leaf: leaf[index], tree)
-
-
-def join_parts(parts: list[_T], count: int) -> _T:
-    """Concatenate the arrays of several pytrees along the first axis, and keep the first ``count`` rows."""
-    if len(parts) == 1:
-        whole = len(jax.tree.leaves(parts[0])[0]) == count
-        return parts[0] if whole else index_leaves(parts[0], slice(count))
-    if jax.default_backend() == "cpu":  # NumPy needs no program for each number of parts
-        parts = jax.device_get(parts)
-        return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[:count]), *parts)
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *parts)
 
 
 @jax.jit

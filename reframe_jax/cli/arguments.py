@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import jax
 
-from reframe_jax.compilation import COMPILER_OPTIONS
+from reframe_jax.compilation import OLD_EMITTERS
 from reframe_jax.constraints.catalogue import CONSTRAINTS, constraint
 from reframe_jax.objectives.norms import check_exponent
 from reframe_jax.program_cache import cache_programs
@@ -125,7 +125,7 @@ def add_cache(command: argparse.ArgumentParser) -> None:
 def configure_jax(cache: bool) -> None:
     """Enable 64-bit mode, and keep compiled programs between runs, unless ``REFRAME_JAX_CACHE=0``."""
     flags = os.environ.get("XLA_FLAGS", "")
-    if COMPILER_OPTIONS is None and "xla_backend_extra_options" not in flags:
+    if not OLD_EMITTERS and "xla_backend_extra_options" not in flags:
         # the same option for all programs; the compiler reads it when it starts
         os.environ["XLA_FLAGS"] = f"{flags} {_FAST_COMPILATION}".strip()
     jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]

@@ -12,10 +12,10 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import COMPILER_OPTIONS, inside_trace, jit_pair, narrow
+from reframe_jax.compilation import COMPILER_OPTIONS, Program, inside_trace, narrow
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.classify import Thresholds
-from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
+from reframe_jax.identification.inputs import map_windows, run_in_pieces, take_poses, take_steps
 from reframe_jax.identification.options import Options, Scales, check_options
 from reframe_jax.identification.pipeline import identify_windows
 from reframe_jax.identification.results import Identification
@@ -27,7 +27,7 @@ from reframe_jax.recordings.lost import find_lost_poses
 from reframe_jax.recordings.recording import name_rows
 from reframe_jax.solvers import Solver
 
-_CHUNK = {"cpu": 64, "gpu": 16384}  # windows per program: their arrays fit the cache, or the memory
+_CHUNK = {"cpu": 32, "gpu": 16384}  # windows whose arrays fit the cache, or the memory
 
 
 def identify(
@@ -130,7 +130,7 @@ def identify_unchecked(
             reach = np.asarray(np.nan, dtype)  # the default, so that the program is that of given bounds
         arrays = reach, level, key
         run = partial(
-            _program_in_trace if inside_a_trace else _program,
+            _program.in_trace if inside_a_trace else _program,
             scales=samples,
             exponent=exponent,
             discretization=discretization,
@@ -138,7 +138,7 @@ def identify_unchecked(
             assume=assumed,
         )
         if inside_a_trace or 0 in array.shape[:-3]:
-            found = run(array, steps, None, *arrays)
+            found = run(array, steps, None, arrays, None)
         elif array.ndim > 3 and _is_distributed(array):
             found = _on_mesh(run, array, steps, arrays)
         else:
@@ -166,10 +166,12 @@ def _warn_of_lost_rows(poses: np.ndarray, times: Any) -> None:
 
 def _on_host(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
     """Identify windows (..., K+1, 4, 4) in pieces of few shapes, so that few programs are compiled."""
+
+    def of_piece(poses: Any, steps: Any, length: Any, _: None, number: Any) -> Identification:
+        return run(poses, steps, length, options, number)
+
     pad = not run.keywords["scales"]  # velocities of single steps must not see the padding
-    found: Identification = run_in_pieces(
-        lambda poses, steps, length, _: run(poses, steps, length, *options), poses, steps, None, _chunk(), pad
-    )
+    found: Identification = run_in_pieces(of_piece, poses, steps, None, _CHUNK, pad)
     return replace(found, counted=jax.lax.slice_in_dim(found.counted, 0, poses.shape[-3], axis=-1))
 
 
@@ -193,7 +195,7 @@ def _on_mesh(run: Any, poses: jax.Array, steps: Any, options: tuple[Any, ...]) -
     if own:
         steps = jax.device_put(steps, NamedSharding(sharding.mesh, PartitionSpec(axis)))
     program = _program_for_mesh(sharding.mesh, axis, own, *run.keywords.items())
-    return program(poses, steps, None, *options)
+    return program(poses, steps, None, options, None)
 
 
 @cache
@@ -203,31 +205,29 @@ def _program_for_mesh(mesh: Mesh, axis: Any, own_steps: bool, *static: tuple[str
     run = jax.shard_map(
         partial(_identify_flat, **dict(static)),
         mesh=mesh,
-        in_specs=(part, part if own_steps else whole, *[whole] * 4),
+        in_specs=(part, part if own_steps else whole, whole, whole, whole),
         out_specs=part,
         check_vma=False,
     )
     return jax.jit(run, compiler_options=COMPILER_OPTIONS)
 
 
-def _chunk() -> int:
-    return _CHUNK.get(jax.default_backend(), 1024)
-
-
 def _identify_flat(
     poses: jax.Array,
     steps: jax.Array,
     length: jax.Array | None,
-    bounds: jax.Array | None,
-    thresholds: Thresholds | None,
-    key: jax.Array | None,
+    options: tuple[jax.Array | None, Thresholds | None, jax.Array | None],
+    number: jax.Array | None,
     **static: Any,
 ) -> Identification:
-    """Identify windows (..., K+1, 4, 4), one chunk after another; see :func:`run_in_pieces`."""
+    """Identify windows (..., K+1, 4, 4), one chunk after another; see :func:`run_in_pieces`.
+
+    The options are the bounds, the thresholds and the random key.
+    """
+    bounds, thresholds, key = options
     key = jax.random.key(0) if key is None else key
     batch = poses.shape[:-3]
     steps = jnp.broadcast_to(steps.astype(poses.dtype), (*batch, steps.shape[-1]))
-    split = poses.reshape(-1, *poses.shape[-3:]), steps.reshape(-1, steps.shape[-1])
 
     def of_windows(windows: tuple[jax.Array, jax.Array]) -> Identification:
         poses, steps = windows
@@ -235,18 +235,8 @@ def _identify_flat(
         with jax.default_matmul_precision("highest"):  # a GPU would round single precision to ten bits
             return identify_windows(poses, steps, count, bounds, thresholds, key, **static)
 
-    number, chunk = len(split[0]), _chunk()
-    if number <= chunk:
-        found = of_windows(split)
-    else:
-        fill = np.minimum(np.arange(-(-number // chunk) * chunk), number - 1)
-        split = jax.tree.map(lambda a: a[fill] if len(fill) > number else a, split)
-        split = jax.tree.map(lambda a: a.reshape(-1, chunk, *a.shape[1:]), split)
-        of_chunks = jax.lax.map(of_windows, split)
-        found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:number], of_chunks)
-    return jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
+    found: Identification = map_windows(of_windows, (poses, steps), len(batch), _CHUNK, number)
+    return found
 
 
-_program, _program_in_trace = jit_pair(
-    _identify_flat, ("scales", "exponent", "discretization", "solver", "assume")
-)
+_program = Program(_identify_flat, ("scales", "exponent", "discretization", "solver", "assume"))

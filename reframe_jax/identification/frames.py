@@ -27,9 +27,30 @@ class PoseNoise:
     rotation: jax.Array  # (...) rad, of every component of the orientation
 
 
+@dataclass(frozen=True)
+class _Axes:
+    """What angular and linear frames have in common."""
+
+    type_code: jax.Array
+    rotvec: jax.Array
+    dof: jax.Array
+    free_probability: jax.Array
+    rms: jax.Array
+    amplitude: jax.Array
+    norm: jax.Array
+    norms: jax.Array
+    tied: jax.Array
+    free_rotation: jax.Array
+
+    @property
+    def axes(self) -> jax.Array:
+        """(..., 3, 3): columns are the frame's axes."""
+        return rotations.rotation_exp(self.rotvec)
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class AngularFrame:
+class AngularFrame(_Axes):
     """The identified angular frame: the axes of free and constrained rotations.
 
     Attributes:
@@ -49,31 +70,15 @@ class AngularFrame:
             constraint: axes whose two other axes are both free or both constrained.
     """
 
-    type_code: jax.Array
-    rotvec: jax.Array
-    dof: jax.Array
-    free_probability: jax.Array
-    rms: jax.Array
-    amplitude: jax.Array
-    norm: jax.Array
-    norms: jax.Array
-    tied: jax.Array
-    free_rotation: jax.Array
-
     @property
     def frame_type(self) -> Any:
         """``AngularType`` of a single window; integer codes of a batch."""
         return member(AngularType, self.type_code)
 
-    @property
-    def axes(self) -> jax.Array:
-        """(..., 3, 3): columns are the frame's axes."""
-        return rotations.rotation_exp(self.rotvec)
-
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class LinearFrame:
+class LinearFrame(_Axes):
     """The identified linear frame: the origin, and the axes of its free and constrained translations.
 
     Attributes:
@@ -96,28 +101,13 @@ class LinearFrame:
             changing the constraint (the "-" of the paper's Table 2). Its trace is the number of directions.
     """
 
-    type_code: jax.Array
-    rotvec: jax.Array
     position: jax.Array
-    dof: jax.Array
-    free_probability: jax.Array
-    rms: jax.Array
-    amplitude: jax.Array
-    norm: jax.Array
-    norms: jax.Array
-    tied: jax.Array
-    free_rotation: jax.Array
     free_position: jax.Array
 
     @property
     def frame_type(self) -> Any:
         """``LinearType`` of a single window; integer codes of a batch."""
         return member(LinearType, self.type_code)
-
-    @property
-    def axes(self) -> jax.Array:
-        """(..., 3, 3): columns are the frame's axes."""
-        return rotations.rotation_exp(self.rotvec)
 
 
 @jax.tree_util.register_dataclass

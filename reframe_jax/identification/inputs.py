@@ -10,10 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.compilation import in_float64, join_parts
+from reframe_jax.compilation import in_float64
 from reframe_jax.motion.checks import MIN_VELOCITIES
 
 _SINGLE = 8  # largest number of windows that are computed one by one, without a program for a batch
+_PIECE = 16384  # padded poses in a piece of a batch: its call takes far less time than its windows
 _FEWEST, _SHORT, _LONG = 8, 64, 4096  # fewest poses that are padded, and padded lengths; see padded_size
 _TOO_COARSE = ("float16", "bfloat16")
 _REMEDIES = {
@@ -152,18 +153,21 @@ def padded_size(count: int) -> int:
     return size
 
 
-def run_in_pieces(run: Callable[..., Any], poses: Any, steps: Any, others: Any, size: int, pad: bool) -> Any:
+def run_in_pieces(
+    run: Callable[..., Any], poses: Any, steps: Any, others: Any, chunks: dict[str, int], pad: bool
+) -> Any:
     """Compute results for windows in pieces of equal size, so that few programs are compiled.
 
     Up to eight windows are computed one by one, without a leading axis. The last piece repeats a window.
 
     Args:
-        run: function of the poses, the steps, the number of poses before the padding or None, and ``others``
-            of a window or a piece. JAX compiles it once for each shape of the poses.
+        run: function of the poses, the steps, the number of poses before the padding or None, ``others``, and
+            the number of windows to compute, of a window (None) or a piece. JAX compiles it once for each
+            shape of the poses.
         poses: (..., K+1, 4, 4).
         steps: (K,) or (..., K) s.
         others: pytree of arrays with the leading axes of ``poses``.
-        size: number of windows in a piece.
+        chunks: see :func:`map_windows`; a piece is one or more chunks.
         pad: whether to pad windows to :func:`padded_size`, with copies of their last pose and step.
 
     Returns:
@@ -175,10 +179,10 @@ def run_in_pieces(run: Callable[..., Any], poses: Any, steps: Any, others: Any, 
     before = np.int32(length) if pad and length >= _FEWEST else None
     steps = (jnp if isinstance(steps, jax.Array) else np).broadcast_to(steps, (*batch, length - 1))
 
-    def run_rows(rows: Any) -> Any:
+    def run_rows(rows: Any, number: Any = None) -> Any:
         part = jax.tree.map(lambda a: a[rows], windows)
         fill = np.minimum(np.arange(padded), length - 1)
-        return run(part[0].take(fill, -3), part[1].take(fill[1:] - 1, -1), before, part[2])
+        return run(part[0].take(fill, -3), part[1].take(fill[1:] - 1, -1), before, part[2], number)
 
     windows = poses, steps, others
     if not batch:
@@ -188,23 +192,75 @@ def run_in_pieces(run: Callable[..., Any], poses: Any, steps: Any, others: Any, 
         singles = jax.device_get([run_rows(row) for row in range(count)])
         found = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *singles)
     else:
-        found = join_parts(_run_pieces(run_rows, count, size), count)
+        chunk = chunks.get(jax.default_backend(), chunks["cpu"])
+        found = _run_pieces(run_rows, count, chunk, chunk * max(1, _PIECE // (chunk * padded)))
     return found if len(batch) == 1 else jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
 
 
-def _run_pieces(run_rows: Callable[[Any], Any], count: int, size: int) -> list[Any]:
-    """Run pieces of ``size`` of ``count`` rows, several at a time on a CPU."""
-    last = np.minimum(np.arange(size) + (count - 1) // size * size, count - 1)
-    pieces = [*(slice(start, start + size) for start in range(0, count - size, size)), last]
-    parts = [run_rows(pieces[0])]  # compiles the program
-    if len(pieces) < 3 or jax.default_backend() != "cpu":
-        return parts + [run_rows(rows) for rows in pieces[1:]]
+def _run_pieces(run_rows: Callable[[Any, Any], Any], count: int, chunk: int, size: int) -> Any:
+    """Compute results for ``count`` windows in pieces of ``size`` rows, several at a time on a CPU."""
+    on_cpu = jax.default_backend() == "cpu"
     # XLA runs the short operations of a piece on one processor, so threads run several pieces
+    threads = (os.cpu_count() or 1) if on_cpu else 1
+    step = min(size, chunk * -(-count // (chunk * threads)))
+    starts = range(0, count, step)
+    numbers = [min(step, count - start) for start in starts]
     wide = in_float64()  # each thread has its own setting
 
-    def run_on_thread(rows: Any) -> Any:
+    def run_piece(start: int, number: int) -> Any:
         with jax.enable_x64(wide):
-            return jax.block_until_ready(run_rows(rows))
+            return run_rows(np.minimum(np.arange(start, start + size), count - 1), np.int32(number))
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return parts + list(pool.map(run_on_thread, pieces[1:]))
+    if threads == 1 or len(starts) == 1:
+        parts = list(map(run_piece, starts, numbers))
+    else:
+        run_piece(0, 0)  # compiles the program
+        with ThreadPoolExecutor(threads) as pool:
+            parts = list(pool.map(lambda *piece: jax.block_until_ready(run_piece(*piece)), starts, numbers))
+    xp, parts = (np, jax.device_get(parts)) if on_cpu else (jnp, parts)  # NumPy compiles nothing
+
+    def join(*leaves: Any) -> jax.Array:
+        used = [leaf[:number] for leaf, number in zip(leaves, numbers, strict=True)]
+        return jnp.asarray(xp.concatenate(used))
+
+    return jax.tree.map(join, *parts)
+
+
+def map_windows(
+    function: Callable[..., Any], windows: Any, axes: int, chunks: dict[str, int], number: jax.Array | None
+) -> Any:
+    """Call a function of N windows for windows with any leading axes, one chunk of windows after another.
+
+    Args:
+        function: function of a pytree as ``windows``, with one leading axis.
+        windows: pytree of arrays with the same leading axes.
+        axes: number of leading axes.
+        chunks: number of windows in a chunk, by the name of the backend.
+        number: number of windows to compute, or None for all. Results of the chunks after them are zeros, and
+            there is no reverse derivative.
+
+    Returns:
+        The results of the function, with the leading axes of ``windows``.
+    """
+    batch, chunk = jax.tree.leaves(windows)[0].shape[:axes], chunks.get(jax.default_backend(), chunks["cpu"])
+    total, parts = math.prod(batch), -(-math.prod(batch) // chunk)
+    windows = jax.tree.map(lambda a: a.reshape(total, *a.shape[axes:]), windows)
+    if parts <= 1:
+        found = function(windows)
+    else:
+        fill = np.minimum(np.arange(parts * chunk), total - 1)
+        windows = jax.tree.map(lambda a: a[fill] if len(fill) > total else a, windows)
+        windows = jax.tree.map(lambda a: a.reshape(parts, chunk, *a.shape[1:]), windows)
+        if number is None:
+            found = jax.lax.map(function, windows)
+        else:
+            of_chunk = jax.jit(lambda i: function(jax.tree.map(lambda a: a[i], windows)))
+            first = jax.eval_shape(of_chunk, number)
+            found = jax.tree.map(lambda a: jnp.zeros((parts, *a.shape), a.dtype), first)
+
+            def add(i: jax.Array, found: Any) -> Any:
+                return jax.tree.map(lambda a, own: a.at[i].set(own), found, of_chunk(i))
+
+            found = jax.lax.fori_loop(0, (number + chunk - 1) // chunk, add, found)
+        found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:total], found)
+    return jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)

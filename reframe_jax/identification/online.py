@@ -11,7 +11,7 @@ from reframe_jax.identification.entry import identify_unchecked
 from reframe_jax.identification.inputs import read_number, read_numbers
 from reframe_jax.identification.options import Options, Scales, check_options
 from reframe_jax.identification.results import Identification
-from reframe_jax.motion.checks import MIN_VELOCITIES, ROTATION_TOLERANCE, Status, check_step
+from reframe_jax.motion.checks import MIN_VELOCITIES, Status, check_step, is_rigid
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.norms import check_exponent
 from reframe_jax.solvers import Solver
@@ -93,7 +93,8 @@ class OnlineIdentifier:
             raise ValueError(f"A pose must be a finite (4, 4) matrix, not {pose.shape}: {pose.tolist()}.")
         if (time is None) == (self._dt is None):
             raise ValueError("Give a time with every pose, or the sample time dt once, in seconds.")
-        _check_rigid(pose)
+        if not is_rigid(pose):
+            raise ValueError(Status.NOT_A_POSE.message)
         time = None if time is None else read_number("time", time)
         if time is not None and not np.isfinite(time):
             raise ValueError(f"A time must be a finite number of seconds, not {time}.")
@@ -128,12 +129,3 @@ class OnlineIdentifier:
     def __len__(self) -> int:
         """Number of poses in the window."""
         return min(self._count, self._length)
-
-
-def _check_rigid(pose: np.ndarray) -> None:
-    """Raise a ValueError for a pose that is not a rigid transform."""
-    rotation = pose[:3, :3]
-    with np.errstate(over="ignore", invalid="ignore"):
-        skewed = not np.abs(rotation.T @ rotation - np.eye(3)).max() < ROTATION_TOLERANCE
-    if skewed or np.linalg.det(rotation) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() >= 1e-6:
-        raise ValueError(Status.NOT_A_POSE.message)

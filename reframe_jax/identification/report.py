@@ -16,7 +16,7 @@ from reframe_jax.constraints.types import (
 from reframe_jax.geometry.rotations import rotation_log
 from reframe_jax.geometry.small import diagonalize
 from reframe_jax.identification.cautions import Caution, caution_codes
-from reframe_jax.identification.classify import Thresholds, free_rotations
+from reframe_jax.identification.classify import Thresholds, degrees_of_freedom, free_rotations
 from reframe_jax.identification.frames import AllCandidates, AngularFrame, Candidates, LinearFrame, PoseNoise
 from reframe_jax.identification.naming import SAME_IN_ALL_TYPES
 from reframe_jax.identification.optima import (
@@ -29,13 +29,7 @@ from reframe_jax.identification.optima import (
 )
 from reframe_jax.identification.preparation import Prepared
 from reframe_jax.identification.results import Identification
-from reframe_jax.identification.winner import (
-    KIND_OF_ENTRY,
-    Winner,
-    dof_by_thresholds,
-    winner_by_thresholds,
-    winner_of_window,
-)
+from reframe_jax.identification.winner import KIND_OF_ENTRY, Winner, winner_by_thresholds, winner_of_window
 from reframe_jax.model import features as z
 from reframe_jax.model.fit import Data, coordinates_along, ground_axes
 from reframe_jax.model.moments import Moments
@@ -186,7 +180,8 @@ def _report_window(
     if thresholds is None:
         winner = winner_of_window(solved, data)
     else:
-        angular_dof_all, linear_dof_all = dof_by_thresholds(types, thresholds)
+        angular_dof_all = degrees_of_freedom(types.angular_rms, thresholds.angular)
+        linear_dof_all = degrees_of_freedom(types.linear_rms, thresholds.linear)
         winner = winner_by_thresholds(types, solved, angular_dof_all, linear_dof_all)
     code, parameters = winner.code, winner.parameters
     known, kind = jnp.maximum(code, 0), winner.kind
@@ -227,11 +222,12 @@ def _report_window(
     offset = jnp.where(jnp.asarray(POSITION_BODIES)[kind] == int(AngularType.G), window.centre, 0)
     velocities = jnp.sum(window.counted) - 1
     tied = _tied_types(winner, kind, thresholds, types, velocities)
+    if thresholds is None:
+        linear_dof_all = _last_free(jnp.sum(linear.dof), 4)
     if thresholds is not None or single_steps:
         # as in the paper, the reported frame is the best frame of its type
         if thresholds is None:
             angular_dof_all = _last_free(jnp.sum(angular_all.dof[0]), 2)
-            linear_dof_all = _last_free(jnp.sum(linear.dof), 4)
         else:
             angular_type = jnp.argmin(types.angular_norm).astype(jnp.int32)
         rows_along = partial(_rows_along, total=total)
@@ -241,8 +237,6 @@ def _report_window(
         of_point = jnp.einsum("iaf,a->if", rows[LINEAR_KINDS][kind], point)
         linear = rows_along(types.linear_axes[kind], of_point, linear_dof_all[kind])
         angular_rms, linear_rms = types.angular_rms, types.linear_rms[kind]
-    else:
-        linear_dof_all = _last_free(jnp.sum(linear.dof), 4)
     a = angular_type
     shift = jnp.where((jnp.asarray(POSITION_BODIES) == int(AngularType.G))[:, None], window.centre[None], 0)
     positions = (solved.origins + shift).at[kind].set(position + offset)
@@ -252,7 +246,6 @@ def _report_window(
     every_dof = jnp.concatenate([angular_all.dof, linear_dof_all])
     rotvecs = jax.vmap(_rotvec)(jnp.concatenate([angular_all.axes, linear_axes_all]), every_dof)
     angular_rotvecs, linear_rotvecs = rotvecs[:2], rotvecs[2:]
-    r = jnp.sum(angular_all.dof[a])
     crossed = entry.crossed & (thresholds is None)
     found = Identification(
         angular=AngularFrame(
@@ -264,7 +257,7 @@ def _report_window(
             amplitude=jnp.sqrt(jnp.maximum(angular_all.square[a], 0) + 1e-30),
             norm=types.angular_norm[a],
             norms=types.angular_norm,
-            tied=jnp.where(r == 2, jnp.arange(2) == a, True),
+            tied=jnp.where(jnp.sum(angular_all.dof[a]) == 2, jnp.arange(2) == a, True),
             free_rotation=free_rotations(angular_all.dof[a]),
         ),
         linear=LinearFrame(

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import ORIENTATION_BODIES, PARALLEL_COSINE, SQUARE_COSINE
-from reframe_jax.identification.classify import Thresholds, degrees_of_freedom
 from reframe_jax.identification.naming import CLASS_CODES, NAME_OF_ENTRY, SAME_IN_ALL_TYPES
 from reframe_jax.identification.optima import Types
 from reframe_jax.model.fit import Data, Parameters, settle
@@ -52,19 +51,11 @@ def winner_of_window(solved: Solved, live: Data) -> Winner:
     return Winner(code, jnp.asarray(KIND_OF_ENTRY)[code], jnp.max(of_name), parameters, probability)
 
 
-def dof_by_thresholds(types: Types, thresholds: Thresholds) -> tuple[Array, Array]:
-    """Return the degrees of freedom (2, 3) and (4, 3) of all types, by thresholds of RMS velocities."""
-    return (
-        degrees_of_freedom(types.angular_rms, thresholds.angular),
-        degrees_of_freedom(types.linear_rms, thresholds.linear),
-    )
-
-
 def winner_by_thresholds(types: Types, solved: Solved, angular: Array, linear: Array) -> Winner:
     """Choose by the paper's rule: the types with the lowest norms, and their degrees of freedom.
 
-    The degrees of freedom of the angular types, (2, 3), and of the linear types, (4, 3), are those of
-    :func:`dof_by_thresholds`. Only the start parameters and the origins of ``solved`` are used.
+    ``angular`` (2, 3) and ``linear`` (4, 3) are the degrees of freedom of all types, by thresholds of RMS
+    velocities. Only the start parameters and the origins of ``solved`` are used.
     """
     a, linear_type = (jnp.argmin(norm).astype(jnp.int32) for norm in (types.angular_norm, types.linear_norm))
     r, t = jnp.sum(angular[a]), jnp.sum(linear[linear_type])

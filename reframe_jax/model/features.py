@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.geometry.rotations import hat
-from reframe_jax.geometry.small import times
+from reframe_jax.geometry.small import cross, normalize, times, total, unit_matrix
 from reframe_jax.motion.paths import twist_paths
 
 COUNT = 27
@@ -29,7 +29,7 @@ class Features(NamedTuple):
     """Features of N windows.
 
     Attributes:
-        values: (N, P, 27) features of every pose; positions are relative to their mean.
+        values: (N, 27, P) features of every pose; positions are relative to their mean.
         to_position: (N, M, 27, 3) derivatives by the position, at M poses of the window.
         to_rotation: (N, M, 27, 3) derivatives by a small rotation in {b}, rad, at the same poses.
         mean_rotation: (N, 3, 3) the rotation nearest to the mean of all R.
@@ -57,36 +57,32 @@ def pose_features(
     inside = times(jnp.swapaxes(rotation, 0, 1), position)
     rows = [position, rotation.reshape(9, *position.shape[1:]), inside]
     rows += [turns[:, 0], shifts[:, 0], turns[:, 1], shifts[:, 1]]
-    values = jnp.moveaxis(jnp.concatenate(rows), (0, 1, 2), (2, 1, 0))
+    values = jnp.moveaxis(jnp.concatenate(rows), -1, 0)
     weight = counted.astype(values.dtype)
     mean = jnp.sum(rotation * weight, axis=2) / jnp.sum(weight, axis=0)
-    mean = nearest_rotation(jnp.moveaxis(mean, -1, 0))
+    mean = jnp.moveaxis(nearest_rotation(mean), -1, 0)
     last = jnp.full(position.shape[-1], position.shape[1] - 1) if count is None else count - 1
     chosen = (last[:, None] * np.linspace(0, 1, _SENSITIVE)).astype(jnp.int32)
-    here = jnp.take_along_axis(values, chosen[:, :, None], axis=1)
+    here = jnp.swapaxes(jnp.take_along_axis(values, chosen[:, None], axis=2), 1, 2)
     return Features(values, *_sensitivity(here), mean)
 
 
 def nearest_rotation(matrix: jax.Array) -> jax.Array:
-    """Return the rotation nearest to matrices (..., 3, 3), by Newton's iteration for the polar factor.
+    """Return the rotation nearest to matrices (3, 3, ...), by Newton's iteration for the polar factor.
 
     The nearest rotation of a nearly singular matrix is not unique. The iteration is therefore damped, and
     Gram-Schmidt makes its result orthogonal.
     """
-    tiny = 1e-9 * jnp.eye(3, dtype=matrix.dtype)
 
     def step(_: int, x: jax.Array) -> jax.Array:
-        rows = jnp.moveaxis(x, -2, 0)
-        cofactors = jnp.moveaxis(jnp.cross(jnp.roll(rows, -1, 0), jnp.roll(rows, -2, 0)), 0, -2)
-        det = jnp.sum(x[..., 0, :] * cofactors[..., 0, :], axis=-1)[..., None, None]
+        cofactors = jnp.stack([cross(x[i - 2], x[i - 1]) for i in range(3)])
+        det = total(x[0] * cofactors[0], 0)
         return (x + cofactors / jnp.where(jnp.abs(det) < 1e-9, 1e-9, det)) / 2
 
-    x = jax.lax.fori_loop(0, 14, step, matrix + tiny)
-    u = x[..., 0]
-    u = u / jnp.linalg.norm(u, axis=-1, keepdims=True)
-    v = x[..., 1] - u * jnp.sum(u * x[..., 1], axis=-1, keepdims=True)
-    v = v / jnp.linalg.norm(v, axis=-1, keepdims=True)
-    return jnp.stack([u, v, jnp.cross(u, v)], axis=-1)
+    x = jax.lax.fori_loop(0, 14, step, matrix + 1e-9 * unit_matrix(matrix.dtype, matrix.ndim - 2))
+    u = normalize(x[:, 0])
+    v = normalize(x[:, 1] - u * total(u * x[:, 1], 0))
+    return jnp.stack([u, v, cross(u, v)], axis=1)
 
 
 def _sensitivity(values: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -100,8 +96,8 @@ def _sensitivity(values: jax.Array) -> tuple[jax.Array, jax.Array]:
     zero = jnp.zeros_like(unit)
     inverse = jnp.swapaxes(rotation, -1, -2)
     # R exp(d): every row r of R changes by r x d ... in components, R_il [e_c]_lj
-    cross = hat(jnp.eye(3, dtype=values.dtype))
-    turned = jnp.einsum("...il,clj->...ijc", rotation, cross).reshape(*values.shape[:-1], 9, 3)
+    hats = hat(jnp.eye(3, dtype=values.dtype))
+    turned = jnp.einsum("...il,clj->...ijc", rotation, hats).reshape(*values.shape[:-1], 9, 3)
     nine = jnp.zeros_like(turned)
     to_position = jnp.concatenate([unit, nine, inverse, zero, inverse, zero, unit], axis=-2)
     lever = jnp.einsum("...ij,...jk->...ik", hat(p), rotation)

@@ -58,67 +58,65 @@ def scale_moments(
     """Compute the second moments of features at every scale.
 
     Args:
-        values: (N, P, F) features.
+        values: (N, F, P) features.
         counted: (N, P) bool, poses that count; a block counts if half of its poses do.
         count: (N,) number of poses before the padding; None without padding.
         about_mean: whether to use no details, and displacements from the mean as the smooth part; the order
             of the poses then has no effect.
     """
-    poses, dtype = values.shape[1], values.dtype
+    poses, dtype = values.shape[2], values.dtype
     number = jnp.full(len(values), poses, jnp.int32) if count is None else count
-    weight = counted.astype(dtype)
-    mean = jnp.sum(values * weight[..., None], axis=1) / jnp.maximum(jnp.sum(weight, axis=1), 1)[:, None]
-    total = (values - mean[:, None]) * weight[..., None]
+    weight = counted.astype(dtype)[:, None]
+    total, used = _about_mean(values, weight)
     # without noise, the moments are singular: every feature has at least the variance of rounding
-    spread = jnp.sum(jnp.square(total), axis=1) / jnp.maximum(jnp.sum(weight, axis=1), 1)[:, None]
+    spread = jnp.sum(jnp.square(total), axis=2) / jnp.maximum(used, 1)[:, None]
     floor = _ROUNDINGS * float(jnp.finfo(dtype).eps) * jax.lax.stop_gradient(spread) + _LEAST
-    floor = floor[:, None] * jnp.eye(values.shape[2], dtype=dtype)
-    if about_mean:
-        used = jnp.sum(weight, axis=1)
-        smooth = _mean_products(total, used)[:, None] + floor[:, None]
-        ones = jnp.ones_like(used)[:, None]
-        none = jnp.zeros_like(ones)
-        return Moments(
-            jnp.concatenate([floor[:, None], smooth], axis=1),
-            jnp.concatenate([none, jnp.maximum(used - 1, 0.5)[:, None]], axis=1),
-            jnp.concatenate([ones, ones], axis=1),
-        )
+    floor = floor[:, None] * jnp.eye(values.shape[1], dtype=dtype)
     products, details, widths = [], [], []
-    smooth = jnp.zeros((len(values), values.shape[2], values.shape[2]), dtype)
-    smooth_width = jnp.ones(len(values), dtype)
+    block, full, width = total, weight, jnp.ones(len(values), dtype)  # of the smooth part
+    if about_mean:
+        products, details, widths = [jnp.zeros_like(floor)], [jnp.zeros_like(used)], [width]
     h = 1
-    while h == 1 or _PART * h < poses:
+    while not about_mean and (h == 1 or _PART * h < poses):
         # a block counts only if at least half of its poses count
-        inside = jnp.arange(weight.shape[1]) + h <= number[:, None]  # no block reaches into padding
-        full = ((weight >= max(1, h / 2)) & inside).astype(dtype)
-        block = total * (full / jnp.maximum(weight, 1))[..., None]
+        inside = jnp.arange(weight.shape[2]) + h <= number[:, None, None]  # no block reaches into padding
+        here = ((weight >= max(1, h / 2)) & inside).astype(dtype)
+        means = total * (here / jnp.maximum(weight, 1))
         if 2 * h * _PART < poses or h == 1:
-            both = full[:, h:] * full[:, :-h]
-            found = jnp.sum(both, axis=1)
+            both = here[..., h:] * here[..., :-h]
+            found = jnp.sum(both, axis=(1, 2))
             fits = (2 * h * _PART < number) & (found >= _FEWEST)
-            products.append(_mean_products((block[:, h:] - block[:, :-h]) * both[..., None], found))
+            products.append(_mean_products((means[..., h:] - means[..., :-h]) * both, found))
             details.append(jnp.where(fits, found / (2 * h), 0))
             widths.append(jnp.full(len(values), h, dtype))
         # the largest block that fits, which is among the last three where there is padding
-        possible = 2 * h * _PART >= poses if count is None else 16 * h * _PART >= poses
-        if possible:
-            fits = (h * _PART < number) & (2 * h * _PART >= number) if h > 1 else number <= 2 * _PART
-            found = jnp.sum(full, axis=1)
-            middle = jnp.sum(block, axis=1) / jnp.maximum(found, 1)[:, None]
-            rest = (block - middle[:, None]) * full[..., None]
-            smooth = jnp.where(fits[:, None, None], _mean_products(rest, found), smooth)
-            smooth_width = jnp.where(fits, h, smooth_width)
-        total, weight = materialize(total[:, h:] + total[:, :-h]), weight[:, h:] + weight[:, :-h]
+        if h > 1 and (2 * h * _PART >= poses if count is None else 16 * h * _PART >= poses):
+            fits = ((h * _PART < number) & (2 * h * _PART >= number))[:, None, None]
+            block, full = (
+                jnp.where(fits, jnp.pad(new, ((0, 0), (0, 0), (0, h - 1))), old)
+                for new, old in ((means, block), (here, full))
+            )
+            width = jnp.where(fits[:, 0, 0], h, width)
+        total, weight = materialize((total[..., h:] + total[..., :-h], weight[..., h:] + weight[..., :-h]))
         h *= 2
-    used = jnp.sum(counted, axis=1).astype(dtype)
+    rest, found = _about_mean(block, full)
+    products.append(_mean_products(rest, found))
+    details.append(jnp.maximum(used / width - 1, 0.5))
     return Moments(
-        jnp.stack([*products, smooth], axis=1) + floor[:, None],
-        jnp.stack([*details, jnp.maximum(used / smooth_width - 1, 0.5)], axis=1),
-        jnp.stack([*widths, smooth_width], axis=1),
+        jnp.stack(products, axis=1) + floor[:, None],
+        jnp.stack(details, axis=1),
+        jnp.stack([*widths, width], axis=1),
     )
 
 
+def _about_mean(values: jax.Array, weight: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Values (N, F, P) relative to their mean, 0 where the weight (N, 1, P) is 0; sum (N,) of the weights."""
+    found = jnp.sum(weight, axis=(1, 2))
+    mean = jnp.sum(values * weight, axis=2) / jnp.maximum(found, 1)[:, None]
+    return (values - mean[..., None]) * weight, found
+
+
 def _mean_products(detail: jax.Array, found: jax.Array) -> jax.Array:
-    """Mean (N, F, F) of z z' over details (N, D, F), of which ``found`` (N,) are not zero."""
-    products = jnp.einsum("ndf,ndg->nfg", detail, detail, precision="highest")
+    """Mean (N, F, F) of z z' over details (N, F, D), of which ``found`` (N,) are not zero."""
+    products = jnp.einsum("nfd,ngd->nfg", detail, detail, precision="highest")
     return products / jnp.maximum(found, 1)[:, None, None]

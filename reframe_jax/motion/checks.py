@@ -1,9 +1,11 @@
 """Check the poses and times of windows: a status code for each window, and a message for each code."""
 
 from enum import IntEnum
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 MIN_VELOCITIES = 4
 """Fewest velocities in a window: for three velocities, some origin does not move along some axis."""
@@ -71,40 +73,44 @@ def check_step(step: float) -> None:
         raise ValueError(Status.OUT_OF_RANGE.message)
 
 
-def window_status(poses: jax.Array, steps: jax.Array) -> jax.Array:
-    """Return the code (...) int32 of each window's :class:`Status`: ``OK``, or the first error that applies.
-
-    The poses are (..., K+1, 4, 4), m; the times between consecutive poses are (K,) or (..., K), s.
-    """
-    finite = jnp.all(jnp.isfinite(poses), axis=(-3, -2, -1)) & jnp.all(jnp.isfinite(steps), axis=-1)
+@np.errstate(over="ignore", invalid="ignore")
+def is_rigid(poses: Any) -> Any:
+    """Return whether matrices (..., 4, 4), of NumPy or JAX, are rigid transforms: (...) bool."""
+    xp = jnp if isinstance(poses, jax.Array) else np
     # by components, because products of many small matrices are slow
     columns = [[poses[..., i, j] for i in range(3)] for j in range(3)]
-    skewed = jnp.zeros_like(poses[..., 0, 0])
+    skewed = xp.zeros_like(poses[..., 0, 0])
     for a in range(3):
         for b in range(a, 3):
             dot = sum(x * y for x, y in zip(columns[a], columns[b], strict=True))
-            skewed = jnp.maximum(skewed, jnp.abs(dot - (1 if a == b else 0)))
+            skewed = xp.maximum(skewed, xp.abs(dot - (1 if a == b else 0)))
     # the third column of an orthogonal matrix is plus or minus the cross product of the first two
     (x, y, z), (u, v, w), third = columns
     cross = (y * w - z * v, z * u - x * w, x * v - y * u)
     handed = sum(c * t for c, t in zip(cross, third, strict=True))
-    bottom = jnp.asarray([0, 0, 0, 1], dtype=poses.dtype)[(None,) * (poses.ndim - 2)]
-    rigid = (
-        (skewed < ROTATION_TOLERANCE)
-        & (handed > 0)
-        & jnp.all(jnp.abs(poses[..., 3, :] - bottom) < 1e-6, axis=-1)
-    )
-    outside = jnp.any(jnp.abs(poses[..., :3, 3]) > _FARTHEST * (1 + _SLACK), axis=(-2, -1))
+    bottom = xp.max(xp.abs(poses[..., 3, :] - np.asarray([0, 0, 0, 1], poses.dtype)), axis=-1)
+    return (skewed < ROTATION_TOLERANCE) & (handed > 0) & (bottom < 1e-6)
+
+
+def window_status(poses: Any, steps: Any) -> Any:
+    """Return the code (...) int32 of each window's :class:`Status`: ``OK``, or the first error that applies.
+
+    The poses are (..., K+1, 4, 4), m; the times between consecutive poses are (K,) or (..., K), s. Both are
+    arrays of NumPy or of JAX.
+    """
+    xp = jnp if isinstance(poses, jax.Array) else np
+    finite = xp.all(xp.isfinite(poses), axis=(-3, -2, -1)) & xp.all(xp.isfinite(steps), axis=-1)
+    outside = xp.any(xp.abs(poses[..., :3, 3]) > _FARTHEST * (1 + _SLACK), axis=(-2, -1))
     odd = (steps < _SHORTEST * (1 - _SLACK)) | (steps > _LONGEST * (1 + _SLACK))
-    moving = jnp.any(poses != poses[..., :1, :, :], axis=(-3, -2, -1))
+    moving = xp.any(poses != poses[..., :1, :, :], axis=(-3, -2, -1))
     codes = (
         (~finite, Status.NOT_FINITE),
-        (~jnp.all(rigid, axis=-1), Status.NOT_A_POSE),
-        (~jnp.all(steps > 0, axis=-1), Status.TIMES_NOT_INCREASING),
+        (~xp.all(is_rigid(poses), axis=-1), Status.NOT_A_POSE),
+        (~xp.all(steps > 0, axis=-1), Status.TIMES_NOT_INCREASING),
         (~moving, Status.NO_MOTION),
-        (outside | jnp.any(odd, axis=-1), Status.OUT_OF_RANGE),
+        (outside | xp.any(odd, axis=-1), Status.OUT_OF_RANGE),
     )
-    status = jnp.full(finite.shape, Status.OK, dtype=jnp.int32)
+    status = xp.full(finite.shape, Status.OK, dtype=xp.int32)
     for wrong, code in reversed(codes):
-        status = jnp.where(wrong, jnp.int32(code), status)
+        status = xp.where(wrong, np.int32(code), status)
     return status

@@ -15,7 +15,7 @@ from reframe_jax.identification.entry import identify_unchecked
 from reframe_jax.identification.inputs import take_steps
 from reframe_jax.identification.options import Options
 from reframe_jax.identification.results import Identification
-from reframe_jax.motion.checks import Status
+from reframe_jax.motion.checks import Status, window_status
 from reframe_jax.segmentation.bank import best_scores, fit_models, misfit
 from reframe_jax.segmentation.cells import Cells, make_cells, path_features
 from reframe_jax.segmentation.chance import with_chance
@@ -197,16 +197,8 @@ def _checked(poses: Any, times: Any, dt: Any) -> tuple[np.ndarray, np.ndarray]:
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or len(poses) < 2 * _FEWEST:
         raise ValueError(f"poses must have shape (N, 4, 4) with N >= {2 * _FEWEST}, not {poses.shape}.")
     steps = np.asarray(take_steps(poses, times, dt), float)
-    rotation = poses[:, :3, :3]
-    skewed = np.abs(np.swapaxes(rotation, 1, 2) @ rotation - np.eye(3)).max(initial=0)
-    for wrong, status in (
-        (not (np.isfinite(poses).all() and np.isfinite(steps).all()), Status.NOT_FINITE),
-        (not skewed < 1e-3 or np.any(np.linalg.det(rotation) < 0), Status.NOT_A_POSE),
-        (np.any(poses[:, 3] != [0, 0, 0, 1]), Status.NOT_A_POSE),
-        (np.any(steps <= 0), Status.TIMES_NOT_INCREASING),
-        (np.all(poses == poses[:1]), Status.NO_MOTION),
-    ):
-        if wrong:
-            raise ValueError(status.message)
+    status = Status(int(window_status(poses, steps)))
+    if status.failed:
+        raise ValueError(status.message)
     first = 0.0 if times is None else float(np.asarray(times, float)[0])
     return poses, first + np.concatenate([[0], np.cumsum(steps)])

@@ -108,7 +108,7 @@ def _window_excitations(window: Prepared, windows: Windows, *, scales: tuple[int
     size = jnp.maximum(end // _ENDS, 1)
     ends = [(window.counted & of).astype(window.poses.dtype) for of in (index >= end - size, index < size)]
     late, early = (
-        jnp.einsum("np,npf->nf", of, window.features.values) / jnp.maximum(jnp.sum(of, axis=1), 1)[:, None]
+        jnp.einsum("np,nfp->nf", of, window.features.values) / jnp.maximum(jnp.sum(of, axis=1), 1)[:, None]
         for of in ends
     )
     mean = jnp.einsum("nif,nf->ni", weights, late - early) / (end - size)

@@ -14,12 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import inside_trace, jit_pair, narrow, traced
+from reframe_jax.compilation import Program, inside_trace, narrow, traced
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
 from reframe_jax.geometry.rotations import rotation_exp, vee
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.frames import AngularFrame, LinearFrame
-from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
+from reframe_jax.identification.inputs import map_windows, run_in_pieces, take_poses, take_steps
 from reframe_jax.identification.options import Scales, take_scales
 from reframe_jax.identification.preparation import Prepared, prepare_windows
 from reframe_jax.identification.results import Identification
@@ -116,37 +116,47 @@ def over_windows(
             lambda x: x.astype(array.dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, estimate
         )
         tracing = inside_trace((array, steps, estimate))
-        program = _program_in_trace if tracing else _program
+        program = _program.in_trace if tracing else _program
         run = partial(program, function=function, scales=take_scales(scales, array.shape[-3]), **static)
         if tracing:
-            result = run(array, steps, None, estimate)
+            result = run(array, steps, None, estimate, None)
         else:
-            size = _CHUNK.get(jax.default_backend(), 256)
-            result = run_in_pieces(run, array, steps, estimate, size, True)
+            result = run_in_pieces(run, array, steps, estimate, _CHUNK, True)
     return narrow(result) if wide else result
 
 
 def _run(
-    poses: Any, steps: Any, length: Any, found: Estimate, *, function: Any, scales: Any, **static: Any
+    poses: Any,
+    steps: Any,
+    length: Any,
+    found: Estimate,
+    number: Any,
+    *,
+    function: Any,
+    scales: Any,
+    **static: Any,
 ) -> Any:
     """Prepare poses (..., K+1, 4, 4) for the fit, and call the function; see :func:`run_in_pieces`."""
     batch = poses.shape[:-3]
     steps = jnp.broadcast_to(steps, (*batch, steps.shape[-1]))
-    poses, steps, found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[len(batch) :]), (poses, steps, found))
-    count = None if length is None else jnp.full(len(poses), length)
-    with jax.default_matmul_precision("highest"):
-        window = jax.lax.stop_gradient(prepare_windows(poses, steps, count, None, scales))
-        used = choose_scales(window.moments, window.noise, scales)
-        mean = window.features.mean_rotation
-        entry = jax.vmap(entries_at)(jnp.maximum(found.entry_code, 0))
-        axes = rotation_exp(jnp.stack([found.angular.rotvec, found.linear.rotvec], axis=1))
-        start = jax.vmap(_start)(found, axes, window.centre, mean, entry)
-        windows = Windows(window.box, used, mean, entry, start, found, axes)
-        result = function(window, windows, scales=scales, **static)
-    return jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), result)
+
+    def of_windows(given: tuple[Array, Array, Estimate]) -> Any:
+        poses, steps, found = given
+        count = None if length is None else jnp.full(len(poses), length)
+        with jax.default_matmul_precision("highest"):
+            window = jax.lax.stop_gradient(prepare_windows(poses, steps, count, None, scales))
+            used = choose_scales(window.moments, window.noise, scales)
+            mean = window.features.mean_rotation
+            entry = jax.vmap(entries_at)(jnp.maximum(found.entry_code, 0))
+            axes = rotation_exp(jnp.stack([found.angular.rotvec, found.linear.rotvec], axis=1))
+            start = jax.vmap(_start)(found, axes, window.centre, mean, entry)
+            windows = Windows(window.box, used, mean, entry, start, found, axes)
+            return function(window, windows, scales=scales, **static)
+
+    return map_windows(of_windows, (poses, steps, found), len(batch), _CHUNK, number)
 
 
-_program, _program_in_trace = jit_pair(_run, ("function", "scales", "parts"))
+_program = Program(_run, ("function", "scales", "parts"))
 
 
 def refit_windows(window: Prepared, windows: Windows, scales: tuple[int, ...] | None, parts: str) -> Refit:
@@ -186,21 +196,22 @@ def _moments_of_parts(window: Prepared, parts: str, about_mean: bool) -> tuple[M
     The parts are the halves and thirds of the windows, after the whole, or the windows without a block.
     """
     values, count = window.features.values, window.count
-    every = jnp.arange(values.shape[1], dtype=jnp.int32)
+    every = jnp.arange(values.shape[2], dtype=jnp.int32)
     if parts == "spans":
         first, end = (
             jnp.stack([count * (part + i) // number for part, number in SPANS], axis=1) for i in (0, 1)
         )
-        place = first[:, :, None] + every[: -(-values.shape[1] // 2)]
+        place = first[:, :, None] + every[: -(-values.shape[2] // 2)]
         own = place < end[:, :, None]
-        place, length = jnp.minimum(place, values.shape[1] - 1), end - first
+        place, length = jnp.minimum(place, values.shape[2] - 1), end - first
     else:
         block = every * BLOCKS // count[:, None]
         own = block[:, None] != jnp.arange(BLOCKS)[:, None]
         place = jnp.broadcast_to(every, own.shape)
         length = jnp.broadcast_to(count[:, None], own.shape[:2])
     kept = jax.vmap(lambda counted, i: counted[i])(window.counted, place) & own
-    taken = jax.vmap(lambda value, i: value[i])(values, place).reshape(-1, *place.shape[2:], values.shape[2])
+    taken = jax.vmap(jax.vmap(lambda value, i: value[:, i], (None, 0)))(values, place)
+    taken = taken.reshape(-1, *taken.shape[2:])
     moments = scale_moments(taken, kept.reshape(-1, kept.shape[2]), length.ravel(), about_mean)
     return moments, jnp.sum(kept, axis=2)
 
