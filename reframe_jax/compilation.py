@@ -1,5 +1,6 @@
 """Helpers for JAX's transformations and compiled programs."""
 
+import os
 from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeVar
@@ -11,12 +12,11 @@ import numpy as np
 from reframe_jax.program_cache import can_keep, load_or_export, platform_of
 
 _T = TypeVar("_T")
-
+_LEVEL = "xla_backend_optimization_level"
 OLD_EMITTERS = jax.__version_info__ < (0, 11)
-COMPILER_OPTIONS: dict[str, int | bool] = {"xla_backend_optimization_level": 2} | (
-    {"xla_cpu_use_fusion_emitters": False} if OLD_EMITTERS else {}
-)
-"""Options of ``jax.jit`` for large programs that are not inside another ``jit``.
+COMPILER_OPTIONS: dict[str, int | bool] = {"xla_cpu_use_fusion_emitters": False} if OLD_EMITTERS else {}
+COMPILER_OPTIONS |= {} if _LEVEL in os.environ.get("XLA_FLAGS", "") else {_LEVEL: 2}
+"""Options of ``jax.jit`` for large programs outside of a trace; a level in ``XLA_FLAGS`` wins.
 
 On a CPU, programs compile in less than half the time (``python -m benchmarks.first_answer``), and are about
 as fast. jax 0.11 cannot select the older code generator for a single program; the environment variable
