@@ -95,7 +95,7 @@ def inside_trace(tree: Any) -> bool:
 
     Constants in a function that is traced are no tracers, but what is computed from them is one.
     """
-    return traced((tree, jnp.zeros(())))
+    return traced((tree, jnp.asarray(0.0)))
 
 
 def index_leaves(tree: _T, index: Any) -> _T:

@@ -90,13 +90,11 @@ def types_of_steps(moments: tuple[Array, Array], solved: Solved, exponent: float
     angular, linear = moments
     zero = jnp.zeros_like(angular[0, 0])
     x = jnp.moveaxis(solved.origins, -1, 0)
-
-    def optimum(sigma: tuple[Array, ...]) -> tuple[Array, Array, Array]:
-        values, axes = ascending_eigh(sigma)
-        rms = jnp.sqrt(jnp.maximum(values, jnp.finfo(values.dtype).tiny))
-        axes = axes * jnp.where(jnp.arange(3) == 0, jnp.sign(jnp.linalg.det(axes))[..., None, None], 1)
-        return axes, rms, jnp.exp(log_power_mean(jnp.moveaxis(jnp.log(rms), -1, 0), exponent))
-
-    of_angular = optimum(covariance_at(angular, (zero, zero, zero)))
-    of_linear = optimum(covariance_at(linear, (x[0], x[1], x[2])))
-    return Types(*(part for pair in zip(of_angular, of_linear, strict=True) for part in pair))
+    of_angular = covariance_at(angular, (zero, zero, zero))
+    of_linear = covariance_at(linear, (x[0], x[1], x[2]))
+    every = [jnp.concatenate(pair, axis=1) for pair in zip(of_angular, of_linear, strict=True)]
+    values, axes = ascending_eigh(tuple(every))
+    rms = jnp.sqrt(jnp.maximum(values, jnp.finfo(values.dtype).tiny))
+    axes = axes * jnp.where(jnp.arange(3) == 0, jnp.sign(jnp.linalg.det(axes))[..., None, None], 1)
+    norm = jnp.exp(log_power_mean(jnp.moveaxis(jnp.log(rms), -1, 0), exponent))
+    return Types(*(part for of in (axes, rms, norm) for part in (of[:, :2], of[:, 2:])))
