@@ -1,8 +1,8 @@
 """Keep large programs between processes.
 
 JAX's compilation cache keeps machine code, but finds it only after Python has traced the function, which
-takes longer than to load the code. A :class:`reframe_jax.compilation.Program` is therefore also
-kept before compilation, by :mod:`jax.export`: a later process does not trace them.
+takes longer than to load the code. Each :class:`reframe_jax.compilation.Program` is therefore also kept
+before compilation, by :mod:`jax.export`: a later process does not trace it.
 """
 
 import glob
