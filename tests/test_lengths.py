@@ -24,7 +24,7 @@ def test_a_search_ends_at_the_same_place_padded(recording, monkeypatch):
     window, found = recording[:64], []
     for shortest in (64, 256):
         monkeypatch.setattr(inputs, "_SHORT", shortest)
-        assert inputs.padded_size(64) == shortest
+        assert inputs.padded_size(64, single=True) == shortest
         found.append(rf.identify(window, dt=DT))
         assert found[-1].counted.shape == (64,)
     single, padded = found
@@ -38,12 +38,15 @@ def test_a_search_ends_at_the_same_place_padded(recording, monkeypatch):
 
 
 def test_sizes_are_few_and_fit():
-    sizes = {count: inputs.padded_size(count) for count in range(5, 70_000)}
+    sizes = {count: inputs.padded_size(count, single=True) for count in range(5, 70_000)}
     assert all(count <= size <= max(64, 4 * count) for count, size in sizes.items())
     assert all(size < 2 * count for count, size in sizes.items() if count > 4096)
     assert sorted({size for count, size in sizes.items() if 8 <= count < 10_000}) == [
         64, 256, 1024, 4096, 8192, 16384
     ]  # fmt: skip
+    of_batches = {count: inputs.padded_size(count, single=False) for count in range(5, 5_000)}
+    assert all(count <= size < 2 * count for count, size in of_batches.items() if count > 16)
+    assert set(of_batches.values()) == {5, 6, 7} | {2**k for k in range(5, 14)}
 
 
 def test_one_program_serves_all_lengths_that_are_padded_to_a_size(recording):
@@ -54,7 +57,7 @@ def test_one_program_serves_all_lengths_that_are_padded_to_a_size(recording):
     lengths = [40, 60, 90, 97, 120, 128, 130, 170, 192, 200, 250]
     for count in lengths:
         assert rf.identify(recording[:count], dt=DT).name == "Pin-plane contact"
-    assert {inputs.padded_size(count) for count in lengths} == {64, 256}
+    assert {inputs.padded_size(count, single=True) for count in lengths} == {64, 256}
     assert programs() - before <= 2
 
 

@@ -52,6 +52,11 @@ def largest(array: Array, axis: int = 0) -> Array:
     return jax.lax.squeeze(array, (axis,))
 
 
+def pick(array: Array, index: Array, axis: int) -> Array:
+    """Select entries of an axis by indices, which have the axes of the array; every index must exist."""
+    return jnp.take_along_axis(array, index, axis=axis, mode="clip")
+
+
 def times(matrix: Array, vector: Array) -> Array:
     """Multiply matrices (m, n, ...) by vectors (n, ...) or by matrices (n, k, ...)."""
     if matrix.ndim == vector.ndim:

@@ -139,17 +139,18 @@ def _differences(times: Any) -> Any:
     return xp.where(rises, size, -size)
 
 
-def padded_size(count: int) -> int:
-    """Return the padded length of a window of ``count`` poses: 64, 256, 1024, 4096, or a larger power of 2.
+def padded_size(count: int, single: bool) -> int:
+    """Return the padded length of a window of ``count`` poses; fewer than eight poses are not padded.
 
     Windows are padded because the compilation of a program for a new length takes longer than the computation
-    with thousands of additional poses. Windows of fewer than eight poses are not padded.
+    with thousands of additional poses. A single window has 64, 256, 1024, 4096, or a larger power of 2; in a
+    batch, many windows share one program, and the length is a power of 2 from 32.
     """
     if count < _FEWEST:
         return count
-    size = _SHORT
+    size = _SHORT if single else _SHORT // 2
     while size < count:
-        size *= 4 if size < _LONG else 2
+        size *= 4 if single and size < _LONG else 2
     return size
 
 
@@ -174,7 +175,7 @@ def run_in_pieces(
         The results of ``run`` for all windows, with the leading axes of ``poses``.
     """
     (*batch, length), count = poses.shape[:-2], math.prod(poses.shape[:-3])
-    padded = padded_size(length) if pad else length
+    padded = padded_size(length, count <= _SINGLE) if pad else length
     # windows with and without padding, and with equal and different times, use the same program
     before = np.int32(length) if pad and length >= _FEWEST else None
     steps = (jnp if isinstance(steps, jax.Array) else np).broadcast_to(steps, (*batch, length - 1))

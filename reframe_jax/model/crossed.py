@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.geometry.small import materialize, normalize, times, total, trace, unit_matrix
+from reframe_jax.geometry.small import materialize, normalize, pick, times, total, trace, unit_matrix
 from reframe_jax.model.descent import Local, levenberg_marquardt
 
 Array = jax.Array
@@ -37,9 +37,7 @@ def promising_pairs(
     cosine = times(jnp.swapaxes(ground, 0, 1), times(mean, body))
     value = total(details * jnp.log(size), 2) + _APART * total(details, 0) * cosine * cosine
     best = jax.lax.top_k(-value.reshape(9, -1).T, 3)[1].T
-    first, second = (
-        jnp.take_along_axis(v, i[None], axis=1) for v, i in ((ground, best // 3), (body, best % 3))
-    )
+    first, second = (pick(v, i[None], 1) for v, i in ((ground, best // 3), (body, best % 3)))
     return first, second
 
 

@@ -90,30 +90,30 @@ def _spread(nodes: Nodes, axes: int) -> Nodes:
     )
 
 
-def amplitude_nodes(log_square: Array, log_noise: Array, variance: Array) -> Nodes:
+def amplitude_nodes(measured: Array, noise: Array, variance: Array) -> Nodes:
     """Compute the nodes of the likelihoods of amplitudes, in single precision.
 
     Args:
-        log_square: (6, ...) log of the measured mean square, m^2 or rad^2.
-        log_noise: (6, ...) log of the part of the mean square that is noise.
-        variance: (6, ...) variance of ``log_square``.
+        measured: (6, ...) measured mean square, m^2 or rad^2.
+        noise: (6, ...) part of the mean square that is noise.
+        variance: (6, ...) variance of the log of ``measured``.
     """
-    log_square, log_noise, variance = (x.astype(jnp.float32) for x in (log_square, log_noise, variance))
-    ratio, deviation = log_square - log_noise, jnp.sqrt(variance)
+    measured, noise, variance = (x.astype(jnp.float32) for x in (measured, noise, variance))
+    ratio, deviation = jnp.log(measured / noise), jnp.sqrt(variance)
     low, high = ratio - _WIDTH * deviation, ratio + _WIDTH * deviation
     # log (a / noise)^2 of the first and of the last node
-    low = jnp.log(jnp.maximum(jnp.expm1(jnp.clip(low, -1, 60)), _FLAT))
-    high = jnp.maximum(jnp.log(jnp.maximum(jnp.expm1(jnp.clip(high, -1, 60)), _FLAT)), low + 1e-3)
+    low, high = (jnp.log(jnp.maximum(jnp.exp(jnp.clip(x, -1, 60)) - 1, _FLAT)) for x in (low, high))
+    high = jnp.maximum(high, low + 1e-3)
     steps = jnp.asarray(np.linspace(0, 1, _NODES), ratio.dtype).reshape(_NODES, *[1] * ratio.ndim)
-    place = low + (high - low) * steps
+    square = jnp.exp(low + (high - low) * steps)  # (a / noise)^2
     penalty = jnp.square(jnp.minimum(ratio, 0)) / variance
-    misfit = jnp.square(ratio - jnp.logaddexp(place, 0.0)) / variance
+    misfit = jnp.square(ratio - jnp.log(1 + square)) / variance
     ends = np.ones(_NODES)
     ends[[0, -1]] = 0.5
     width = (high - low) / (2 * (_NODES - 1))  # node distance in log a
     weights = jnp.exp(-0.5 * (misfit - penalty)) * width * jnp.asarray(ends, ratio.dtype).reshape(steps.shape)
     return Nodes(
-        jnp.exp(place + log_noise),
+        square * noise,
         weights,
         jnp.exp(-0.5 * (jnp.square(ratio) / variance - penalty)),
         -0.5 * penalty - 0.5 * jnp.log(variance),

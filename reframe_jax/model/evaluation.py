@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import LinearType
-from reframe_jax.geometry.small import largest, materialize, sandwich, times, total, trace, unit_matrix
+from reframe_jax.geometry.small import largest, materialize, pick, sandwich, times, total, trace, unit_matrix
 from reframe_jax.model import features as z
 from reframe_jax.model.evidence import Amplitudes, Coordinates, Spectra, amplitudes_of, log_evidence
 from reframe_jax.model.features import Features
@@ -114,7 +114,7 @@ def evaluate_entries(
         universal.mixed[:, :, :, 0, :, None],
         universal.mixed[:, :, :, 1, :, None],
     )
-    of_path = of_path[:, :, 0] + total(of_path[:, :, 1:] * at.origin[:, None], 2)
+    of_path = materialize(of_path[:, :, 0] + total(of_path[:, :, 1:] * at.origin[:, None], 2))
     of_path = total(of_path[:, :, None] * at.frame[None, :, :, None], 1)
     mixed = jnp.where(crossed, of_path, mixed)
     # ---- sensitivity to a rotation
@@ -122,9 +122,8 @@ def evaluate_entries(
     sine = total(universal.sine, 0) / len(universal.sine)
     corner = (np.arange(9) == 0).reshape(3, 3, 1, 1)
     of_turns = jnp.where(crossed & corner, sine, unit)
-    kinds = jnp.arange(len(PATHS)).reshape(-1, 1, 1) == entries.path[None]
-    lever = total(windows.levers[:, :, :, None] * kinds, 2)
-    lever = sandwich(at.frame, lever[:, :, None])[:, :, 0]
+    lever = pick(windows.levers, entries.path[None, None], 2)
+    lever = materialize(sandwich(at.frame, lever[:, :, None]))[:, :, 0]
     third = (np.arange(3) == 2)[:, None, None]
     row = entries.apart & (third[:, None] | third[None])
     lever = jnp.where(row, jnp.where(third[:, None] & third[None], at.pitch**2, 0), lever)

@@ -162,13 +162,14 @@ def amplitudes_of(coordinates: Coordinates, entry: Table, spectra: Spectra) -> A
     shown = jnp.where(spectra.all_details[:-1] > 0, each[:, :-1] / spectra.white[:-1], jnp.inf)
     noise = jnp.minimum(noise, -largest(-shown, 1)) * total(scale_weight * spectra.white, 0) + 0.1 * _TINY
     variance = total(2 * jnp.square(parts) / jnp.maximum(spectra.all_details, 1), 1) / square**2
+    fraction = (spectra.details / total(spectra.details, 0)).astype(jnp.float32)
     return Amplitudes(
         square=square,
         noise=noise,
         variance=jnp.minimum(variance, 1) + C.amplitude_variance,
         independent=2 / jnp.maximum(variance, 0.01),
         lever=lever,
-        log_variance=(total(jnp.log(each) * spectra.details, 1) / total(spectra.details, 0)).astype(dtype),
+        log_variance=total(jnp.log(each.astype(jnp.float32)) * fraction, 1).astype(dtype),
         consistency=coordinates.consistency,
     )
 
@@ -184,9 +185,7 @@ def log_evidence(amplitudes: Amplitudes, tilt: Array, entry: Table, noise: Array
         entry: rows of the table.
         noise: (2, ...) m and rad, white noise, which raises the prior of slow errors.
     """
-    nodes = materialize(
-        amplitude_nodes(jnp.log(amplitudes.square), jnp.log(amplitudes.noise), amplitudes.variance)
-    )
+    nodes = materialize(amplitude_nodes(amplitudes.square, amplitudes.noise, amplitudes.variance))
     value = _errors(nodes, amplitudes.lever, tilt, entry.held, noise) + _moves(nodes, amplitudes, entry.held)
     return value.astype(amplitudes.square.dtype)
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.geometry.rotations import hat
-from reframe_jax.geometry.small import cross, normalize, times, total, unit_matrix
+from reframe_jax.geometry.small import cross, normalize, pick, times, total, unit_matrix
 from reframe_jax.motion.paths import twist_paths
 
 COUNT = 27
@@ -63,7 +63,7 @@ def pose_features(
     mean = jnp.moveaxis(nearest_rotation(mean), -1, 0)
     last = jnp.full(position.shape[-1], position.shape[1] - 1) if count is None else count - 1
     chosen = (last[:, None] * np.linspace(0, 1, _SENSITIVE)).astype(jnp.int32)
-    here = jnp.swapaxes(jnp.take_along_axis(values, chosen[:, None], axis=2), 1, 2)
+    here = jnp.swapaxes(pick(values, chosen[:, None], 2), 1, 2)
     return Features(values, *_sensitivity(here), mean)
 
 

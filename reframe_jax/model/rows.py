@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.geometry.small import cross, normalize, sandwich, times, total, unit_matrix
+from reframe_jax.geometry.small import cross, normalize, pick, sandwich, times, total, unit_matrix
 from reframe_jax.model import features as z
 from reframe_jax.model.steps import Problem, Unknowns, axis_row, path_of, row_size
 from reframe_jax.model.table import KINDS, PATHS, ROWS, Table
@@ -69,7 +69,7 @@ class EntryMoments(NamedTuple):
 
         def of(leaf: Array) -> Array:
             axis = leaf.ndim - path.ndim
-            return jnp.take_along_axis(leaf, path.reshape(*[1] * axis, *path.shape), axis=axis)
+            return pick(leaf, path.reshape(*[1] * axis, *path.shape), axis)
 
         return EntryMoments(*(of(leaf) for leaf in self))
 

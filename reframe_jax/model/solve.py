@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import LinearType
-from reframe_jax.geometry.small import sandwich, times, total
+from reframe_jax.geometry.small import pick, sandwich, times, total
 from reframe_jax.model import features as z
 from reframe_jax.model.constants import SCALES
 from reframe_jax.model.evaluation import WindowStatistics, evaluate_entries, window_statistics
@@ -195,8 +195,8 @@ def _compare_entries(
         """Return the next block of entries, at their starting parameters."""
         block = codes[r]
         paths = jnp.asarray(TABLE.path)[block]
-        start = jax.tree.map(lambda leaf: jnp.take(leaf, block, axis=-2), problem.starts)
-        forms = jax.tree.map(lambda leaf: jnp.take(leaf, paths, axis=-2), problem.forms)
+        start = jax.tree.map(lambda leaf: jnp.take(leaf, block, axis=-2, mode="clip"), problem.starts)
+        forms = jax.tree.map(lambda leaf: jnp.take(leaf, paths, axis=-2, mode="clip"), problem.forms)
         return jnp.broadcast_to(block[:, None], (size, details.shape[1])), forms, start
 
     def fit(_: Array, rounds: _Evaluated) -> tuple[Array, Forms, Unknowns]:
@@ -206,7 +206,7 @@ def _compare_entries(
         best = jax.lax.top_k(rank.T, size)[1].T
         entries = entries_at(best)
         start = jax.tree.map(
-            lambda leaf: jnp.take_along_axis(leaf, best[(None,) * (leaf.ndim - 2)], axis=-2), problem.starts
+            lambda leaf: pick(leaf, best[(None,) * (leaf.ndim - 2)], leaf.ndim - 2), problem.starts
         )
         moments = problem.moments.pick(entries.path)
         fitted = problem_of(moments, details[:, None], entries, problem.tilt_scale, problem.box, entries.tied)

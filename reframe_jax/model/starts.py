@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import AngularType
-from reframe_jax.geometry.small import cross, diagonalize, normalize, times, total, trace, unit_matrix
+from reframe_jax.geometry.small import cross, diagonalize, normalize, pick, times, total, trace, unit_matrix
 from reframe_jax.model import features as z
 from reframe_jax.model.crossed import crossed_axes, promising_pairs
 from reframe_jax.model.rows import rotation_forms
@@ -110,7 +110,7 @@ def universal_axes(axes: Axes, products: Array, details: Array, mean: Array) -> 
     forms = forms[:, :, :, :, :, None]
     a, b, value = crossed_axes(forms, details[:, None], mean[:, :, None], a, b, _CROSS_STEPS)
     best = jnp.argmin(value, axis=0)[None, None]
-    return jnp.take_along_axis(a, best, axis=1)[:, 0], jnp.take_along_axis(b, best, axis=1)[:, 0]
+    return pick(a, best, 1)[:, 0], pick(b, best, 1)[:, 0]
 
 
 def entry_starts(

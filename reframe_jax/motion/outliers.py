@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from reframe_jax.geometry.small import total
+from reframe_jax.geometry.small import pick, total
 from reframe_jax.motion.noise import masked_median
 from reframe_jax.motion.paths import move_along, twist_between
 
@@ -101,8 +101,8 @@ def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride:
     reach = 2 * _REACH * max(_STRIDES)
     each = jnp.arange(-reach, number + reach, dtype=jnp.int32)[:, None]
     inside = jnp.clip(jnp.abs(jnp.where(each > last, 2 * last - each, each)), 0, number - 1)
-    path = jnp.take_along_axis(whole, inside[None], axis=1)
-    end = jnp.take_along_axis(whole, last[None, None], axis=1)
+    path = pick(whole, inside[None], 1)
+    end = pick(whole, last[None, None], 1)
     path = jnp.where(each < 0, 2 * whole[:, :1] - path, path)
     path = lax.optimization_barrier(jnp.where(each > last, 2 * end - path, path))
 
@@ -156,12 +156,12 @@ def _beside(times: Array, counted: Array) -> tuple[Array, Array, Array]:
     after = lax.cummin(jnp.where(counted, here, number), axis=0, reverse=True)
     before, after = jnp.where(before < 0, after, before), jnp.where(after == number, before, after)
     before, after = jnp.clip(before, 0, number - 1), jnp.clip(after, 0, number - 1)
-    start, end = (jnp.take_along_axis(times, place, axis=0) for place in (before, after))
+    start, end = (pick(times, place, 0) for place in (before, after))
     return before, after, jnp.where(end > start, (times - start) / jnp.where(end > start, end - start, 1), 0)
 
 
 def _at(x: Array, place: Array) -> Array:
-    return jnp.take_along_axis(x, place[None], axis=1)
+    return pick(x, place[None], 1)
 
 
 def _interpolate(x: Array, times: Array, counted: Array) -> Array:

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.geometry.small import axial, cross, materialize, times, total, trace, unit_matrix
+from reframe_jax.geometry.small import axial, cross, materialize, pick, times, total, trace, unit_matrix
 
 Array = jax.Array
 _STENCIL = 7  # samples in the derivative of the twist
@@ -155,11 +155,8 @@ def _derivative_weights(steps: Array, count: Array | None) -> Array:
     first = jnp.clip(each[:, None] - nodes // 2, 0, last - nodes)  # (K, N)
     windows = max(steps.shape[0], first.shape[1])
     first = jnp.broadcast_to(first, (number, windows))
-    spans = jnp.take_along_axis(
-        jnp.broadcast_to(steps.T, (number, windows)),
-        (first + nth[:, None, None]).reshape(-1, windows),
-        axis=0,
-    ).reshape(nodes, number, windows)
+    every = (first + nth[:, None, None]).reshape(-1, windows)
+    spans = pick(jnp.broadcast_to(steps.T, (number, windows)), every, 0).reshape(nodes, number, windows)
     ends = jnp.cumsum(spans, axis=0) - spans / 2
     # Lagrange's polynomial of node i has the derivative (c_h / c_i) / (t_h - t_i) at node h, c_i being
     # the product of t_i - t_j over the other nodes j; those of all nodes add up to zero
