@@ -37,7 +37,7 @@ def promising_pairs(
     cosine = times(jnp.swapaxes(ground, 0, 1), times(mean, body))
     value = total(details * jnp.log(size), 2) + _APART * total(details, 0) * cosine * cosine
     best = jax.lax.top_k(-value.reshape(9, -1).T, 3)[1].T
-    first, second = (pick(v, i[None], 1) for v, i in ((ground, best // 3), (body, best % 3)))
+    first, second = (pick(v, i, 1) for v, i in ((ground, best // 3), (body, best % 3)))
     return first, second
 
 

@@ -122,7 +122,7 @@ def evaluate_entries(
     sine = total(universal.sine, 0) / len(universal.sine)
     corner = (np.arange(9) == 0).reshape(3, 3, 1, 1)
     of_turns = jnp.where(crossed & corner, sine, unit)
-    lever = pick(windows.levers, entries.path[None, None], 2)
+    lever = pick(windows.levers, entries.path, 2)
     lever = materialize(sandwich(at.frame, lever[:, :, None]))[:, :, 0]
     third = (np.arange(3) == 2)[:, None, None]
     row = entries.apart & (third[:, None] | third[None])

@@ -66,12 +66,7 @@ class EntryMoments(NamedTuple):
 
     def pick(self, path: Array) -> "EntryMoments":
         """Select the moments (..., S, C, ...) of entries by the kinds of their translations (C, ...)."""
-
-        def of(leaf: Array) -> Array:
-            axis = leaf.ndim - path.ndim
-            return pick(leaf, path.reshape(*[1] * axis, *path.shape), axis)
-
-        return EntryMoments(*(of(leaf) for leaf in self))
+        return EntryMoments(*(pick(leaf, path, -path.ndim) for leaf in self))
 
     def at(self, origin: Array) -> Forms:
         """Return the moments at origins (3, ...), m."""

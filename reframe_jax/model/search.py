@@ -126,7 +126,7 @@ def lowest_origins(
     x = jnp.clip(jnp.where(jnp.isfinite(x), x, 0), -box, box)
     x = jax.lax.fori_loop(0, _TANGENT_STEPS, lambda _, x: _tangent_step(coefficients, counts, box, x), x)
     best = jnp.argmin(_norm(coefficients, counts, x), axis=1)
-    x = pick(x, best[None, :, None], 2)
+    x = pick(x, best[:, None], 2)
     step = partial(_newton_step, coefficients, counts, box)
     axes = jnp.broadcast_to(unit_matrix(x.dtype, x.ndim - 1), (3, *x.shape))
     damping = jnp.full_like(x[0], _DAMPING)
@@ -268,7 +268,7 @@ def _newton_step(coefficients: Array, counts: Array, box: Array, at: _Point) -> 
     best = jnp.argmin(values, axis=1)[:, None]
     found = pick(values, best, 1)
     lower = (found <= value) & at.moving
-    x = jnp.where(lower, pick(tried, best[None], 2), x)
+    x = jnp.where(lower, pick(tried, best, 2), x)
     taken = jnp.where(lower, pick(dampings, best, 1), _TRIALS[-1] * dampings[:, -1:])
     norm = jnp.where(lower, found, value)
     moving = at.moving & (decrease > _CONVERGED * total(counts, 0))

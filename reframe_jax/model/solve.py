@@ -205,9 +205,7 @@ def _compare_entries(
         rank = jnp.where(allowed[:, None], log_probability(screened), -jnp.inf)
         best = jax.lax.top_k(rank.T, size)[1].T
         entries = entries_at(best)
-        start = jax.tree.map(
-            lambda leaf: pick(leaf, best[(None,) * (leaf.ndim - 2)], leaf.ndim - 2), problem.starts
-        )
+        start = jax.tree.map(lambda leaf: pick(leaf, best, -2), problem.starts)
         moments = problem.moments.pick(entries.path)
         fitted = problem_of(moments, details[:, None], entries, problem.tilt_scale, problem.box, entries.tied)
         at = descend(fitted, start, STEPS if assume is None else ASSUMED_STEPS)

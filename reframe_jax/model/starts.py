@@ -109,7 +109,7 @@ def universal_axes(axes: Axes, products: Array, details: Array, mean: Array) -> 
     a, b = promising_pairs(forms, details, mean, ground, body)
     forms = forms[:, :, :, :, :, None]
     a, b, value = crossed_axes(forms, details[:, None], mean[:, :, None], a, b, _CROSS_STEPS)
-    best = jnp.argmin(value, axis=0)[None, None]
+    best = jnp.argmin(value, axis=0)[None]
     return pick(a, best, 1)[:, 0], pick(b, best, 1)[:, 0]
 
 

@@ -73,10 +73,7 @@ def repair_poses(
 
     def fill(_: None) -> tuple[Array, Array]:
         before, after, part = _beside(times, counted)
-        first, second = (
-            (_at(rotation.reshape(9, *own.shape), place).reshape(rotation.shape), _at(position, place))
-            for place in (before, after)
-        )
+        first, second = ((pick(rotation, place, 2), pick(position, place, 1)) for place in (before, after))
         w, v = twist_between(first, second)
         turned, moved = move_along(first, part * w, part * v)
         return jnp.where(counted, rotation, turned), jnp.where(counted, position, moved)
@@ -101,8 +98,8 @@ def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride:
     reach = 2 * _REACH * max(_STRIDES)
     each = jnp.arange(-reach, number + reach, dtype=jnp.int32)[:, None]
     inside = jnp.clip(jnp.abs(jnp.where(each > last, 2 * last - each, each)), 0, number - 1)
-    path = pick(whole, inside[None], 1)
-    end = pick(whole, last[None, None], 1)
+    path = pick(whole, inside, 1)
+    end = pick(whole, last[None], 1)
     path = jnp.where(each < 0, 2 * whole[:, :1] - path, path)
     path = lax.optimization_barrier(jnp.where(each > last, 2 * end - path, path))
 
@@ -160,12 +157,8 @@ def _beside(times: Array, counted: Array) -> tuple[Array, Array, Array]:
     return before, after, jnp.where(end > start, (times - start) / jnp.where(end > start, end - start, 1), 0)
 
 
-def _at(x: Array, place: Array) -> Array:
-    return pick(x, place[None], 1)
-
-
 def _interpolate(x: Array, times: Array, counted: Array) -> Array:
     """Replace components (C, P, N) of poses that are not counted by interpolation between counted poses."""
     before, after, part = _beside(times, counted)
-    first = _at(x, before)
-    return jnp.where(counted, x, first + part * (_at(x, after) - first))
+    first = pick(x, before, 1)
+    return jnp.where(counted, x, first + part * (pick(x, after, 1) - first))
