@@ -6,7 +6,8 @@ origin lies within 0.3 m of the body's origin along each axis. Sums of sines dri
 - ``exciting``: three incommensurate sines an axis, 0.7 rad/s and 0.18 m/s rms;
 - ``slow``: one sine of 0.2 to 0.6 rad/s an axis, amplitude 0.35 to 0.85 rad/s and a quarter of that in m/s;
 - ``paper``: the velocities of the paper's section 5.1;
-- ``measured``: three sines of 0.1 to 0.8 Hz an axis, rms 0.5 rad and 50 to 100 mm.
+- ``measured``: three sines of 0.1 to 0.8 Hz an axis, rms 0.5 rad and 50 to 100 mm;
+- ``stops``: the same path in three moves, with rests of 0.83 s between them.
 
 White noise has a standard deviation of sigma in m for positions and sigma / 0.3 m in rad for orientations.
 Slow errors are sums of three sines of 0.1 to 1.2 Hz in random directions, half of their variance in the axes
@@ -162,6 +163,13 @@ def nothing_specs() -> Iterator[Spec]:
         yield Spec("nothing", "unconstrained", motion, 20, ENCODER[0], slow, turn, seed)
 
 
+def stops_specs() -> Iterator[Spec]:
+    moving = [label for label in CONSTRAINTS if label != "fixed"]
+    for (slow, turn), label in product(((0.0, 0.0), *SLOW[:3]), moving):
+        for white in (ENCODER[0],) if slow else SIGMAS[:4]:
+            yield Spec("stops", label, "stops", 20, white, slow, turn, 30)
+
+
 def paper_specs() -> Iterator[Spec]:
     for motion, sigma, label in product(("exciting", "paper"), SIGMAS[:4], TWELVE):
         yield Spec("paper", label, motion, 10, sigma)
@@ -173,6 +181,7 @@ PLANS = {
     "white": white_specs,
     "soft": soft_specs,
     "repeatable": repeatable_specs,
+    "stops": stops_specs,
     "nothing": nothing_specs,
     "paper": paper_specs,
 }
@@ -181,13 +190,14 @@ PLANS = {
 _STEP, _NODES, _CHUNK = 0.005, 1001, 256  # time step, s; integration nodes; recordings per chunk
 _TIMES = _STEP * np.arange(_NODES)
 _EXCITING = np.array([[0.9, 2.9, 4.9], [1.4, 3.4, 5.4], [1.9, 3.9, 4.4]])  # rad/s
-_PAPER = np.zeros((3, 6, 3))  # amplitude, rate (rad/s), phase
-_PAPER[:, :, 0] = (
+_PAPER = np.zeros((4, 6, 3))  # amplitude, rate (rad/s), phase, stops
+_PAPER[:3, :, 0] = (
     (0.5, -0.5, 0.5, -0.1, 0.1, 0.1),
     (0, 0, 3, 0, 2, 3),
     np.pi / 2 * np.array([1, 1, 1, 1, 1, 0]),
 )
-_PAPER[:, 0, 1] = 0.5, 2, 0
+_PAPER[:3, 0, 1] = 0.5, 2, 0
+_STOPS = 0.6  # rests per second
 
 
 def simulate(specs: Sequence[Spec]) -> list[Case]:
@@ -246,31 +256,42 @@ def _simulate_chunk(specs: Sequence[Spec]) -> list[Case]:
 
 
 def _draw_sines(spec: Spec, rng: np.random.Generator) -> np.ndarray:
-    """Amplitude, rate and phase (3, 6, 3) of three sines along the three angular and three linear axes."""
+    """Amplitude, rate, phase and stops (4, 6, 3) of three sines along three angular and three linear axes."""
     phase, unit = rng.uniform(0, 2 * np.pi, (6, 3)), np.repeat([1.0, 0.25], 3)[:, None]
+    stops = np.full((6, 3), _STOPS if spec.motion == "stops" else 0.0)
     if spec.motion == "exciting":
-        sines = np.array([0.6 * unit * np.ones(3), np.concatenate([_EXCITING, 1.13 * _EXCITING]), phase])
+        sines = np.array(
+            [0.6 * unit * np.ones(3), np.concatenate([_EXCITING, 1.13 * _EXCITING]), phase, stops]
+        )
     elif spec.motion == "slow":
         amplitude = rng.uniform(0.35, 0.85, (6, 1)) * unit * [1, 0, 0]
-        sines = np.array([amplitude, rng.uniform(0.2, 0.6, (6, 1)) * np.ones(3), phase])
+        sines = np.array([amplitude, rng.uniform(0.2, 0.6, (6, 1)) * np.ones(3), phase, stops])
     elif spec.motion == "paper":
         sines = _PAPER.copy()
     else:
-        sines = np.array([rng.uniform(0.3, 1, (6, 3)), 2 * np.pi * rng.uniform(0.1, 0.8, (6, 3)), phase])
+        amplitude, rate = rng.uniform(0.3, 1, (6, 3)), 2 * np.pi * rng.uniform(0.1, 0.8, (6, 3))
+        sines = np.array([amplitude, rate, phase, stops])
         rms = np.std(_integrate(_velocity(sines, _TIMES).T), axis=0)
         sines[0] *= (np.concatenate([np.full(3, 0.5), rng.uniform(0.05, 0.1, 3)]) / rms)[:, None]
     entry = CONSTRAINTS[spec.label]
     if spec.label == "screw":
         pitch = rng.choice([-1, 1]) * rng.uniform(0.03, 0.1)  # m/rad
-        sines[:, 3] = sines[:, 0] * np.array([[pitch], [1], [1]])
+        sines[:, 3] = sines[:, 0] * np.array([[pitch], [1], [1], [1]])
     sines[0] *= np.array([float(free) for free in entry.angular + entry.linear])[:, None]
     return sines
 
 
 def _velocity(sines: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Velocities (..., 6, T) along the axes, from sines (..., 3, 6, 3)."""
-    amplitude, rate, phase = np.moveaxis(sines, -3, 0)[..., None, :]
-    return np.sum(amplitude * np.sin(rate * times[:, None] + phase), axis=-1)
+    """Velocities (..., 6, T) along the axes, from sines (..., 4, 6, 3); the fourth is the rate of stops."""
+    amplitude, rate, phase, stops = np.moveaxis(sines, -3, 0)[..., None, :]
+    # in the first half of a period the path is followed at the speed 4 sin^2, in the second half not at all
+    cycles = stops * times[:, None]
+    within = np.minimum(cycles % 1, 0.5)
+    passed = np.floor(cycles) + 2 * within - np.sin(4 * np.pi * within) / (2 * np.pi)
+    moving = stops > 0
+    reached = np.where(moving, passed / np.where(moving, stops, 1), times[:, None])
+    speed = np.where(moving, 4 * np.sin(2 * np.pi * within) ** 2, 1)
+    return np.sum(speed * amplitude * np.sin(rate * reached + phase), axis=-1)
 
 
 def _integrate(values: np.ndarray) -> np.ndarray:

@@ -107,6 +107,21 @@ def test_fast_motion_is_no_outlier():
         assert found_in(window) == []
 
 
+@pytest.mark.parametrize("samples", [8, 10, 20, 40])
+@pytest.mark.parametrize("pause", [2, 30])
+def test_a_short_fast_motion_between_rests_is_no_outlier(samples, pause):
+    """A robot goes 0.2 m and 0.5 rad away with minimum jerk, rests there, and comes back."""
+    u = np.clip((np.arange(150) - 40) / samples, 0, 1)
+    v = np.clip((np.arange(150) - 40 - samples - pause) / samples, 0, 1)
+    part = sum(sign * x**3 * (10 - 15 * x + 6 * x**2) for sign, x in ((1, u), (-1, v)))
+    window = np.tile(np.eye(4), (150, 1, 1))
+    window[:, :3, :3] = Rotation.from_rotvec(np.outer(0.5 * part, [0.6, 0.0, 0.8])).as_matrix()
+    window[:, :3, 3] = 0.2 * part[:, None] * [0.0, 1.0, 0.0]
+    window[:, :3, 3] += 1e-6 * np.random.default_rng(0).normal(size=(150, 3))
+    _, counted = repair(window[None], DT * np.arange(150)[None], np.array([150]))
+    assert np.all(counted)
+
+
 def test_a_step_that_does_not_come_back_is_no_outlier(poses):
     assert found_in(shift(poses, slice(30, None), 0.05)) == []
 

@@ -1,11 +1,11 @@
 """Find outliers: poses that jump away and return, for example when a tracker flips an axis or swaps markers.
 
 The search predicts each pose five times, by interpolation between a pose one to five strides before and the
-pose as many strides after. A pose is an outlier under three conditions: its distance from the median
-prediction is large compared with usual distances; the five predictions agree with each other; and the pose
-also lies far from the extrapolated motion before it and from the extrapolated motion after it. In fast smooth
-motion and at corners, the predictions do not agree, so these poses are no outliers. A body that jumps and
-stays at its new place agrees with the motion after the jump.
+pose as many strides after. A pose is an outlier under four conditions: its distance from the median
+prediction is large compared with usual distances; the five predictions agree with each other; the pose also
+lies far from the extrapolated motion before it and from that after it; and the path has a corner nearby. In
+fast smooth motion and at a single corner, the predictions do not agree. A body that jumps and stays at its
+new place agrees with the motion after the jump. A short fast motion between two rests has no corner.
 
 An outlier does not enter the moments. Between the poses beside it, the twist is constant.
 Arrays have components first, then samples, and windows last.
@@ -19,8 +19,6 @@ from reframe_jax.geometry.small import pick, total
 from reframe_jax.motion.noise import masked_median
 from reframe_jax.motion.paths import move_along, twist_between
 
-__all__ = ["repair_poses"]
-
 Array = jax.Array
 _REACH = 5  # number of predictions, and of neighbours on either side
 _STRIDES = 1, 2, 4  # samples between neighbours; together they find runs of up to 10 outliers
@@ -28,6 +26,8 @@ _OUTLIER = 7.0  # smallest distance from the prediction, in medians of all dista
 _AGREE = 3.0  # the same, in medians of the distances of the five predictions from their median
 _MOST = 0.3  # largest fraction of outliers; with more, no pose is an outlier
 _APART = 0.5  # smallest distance from the extrapolated motion, as a fraction of that from the prediction
+_CORNER = 0.35  # smallest corner near an outlier, as the same fraction; the ends of a run have 0.5
+_NEAR = 6  # samples from an outlier to the corner, at most: runs may be twice as long
 _JUMP = 4.0  # ratio of a fourth difference to the median, above which the search for outliers starts
 _PASSES = 6  # largest number of searches: each search shortens long runs of outliers from their ends
 
@@ -60,12 +60,12 @@ def repair_poses(
     def search(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         counted, _, passes = carry
         filled = _interpolate(measured, times, counted)
-        found = lax.map(lambda stride: _find(filled, times, own, count, unit, stride), strides)
+        found = lax.map(lambda stride: _find(filled, corner, times, own, count, unit, stride), strides)
         # a window without a jump is not searched, whatever the other windows of the batch contain
         found = counted & ~(jnp.any(found, axis=0) & jumps)
         return found, jnp.any(found != counted), passes + 1
 
-    jumps = _has_jumps(measured, own)
+    jumps, corner = _has_jumps(measured, own), _corners(measured, times, own)
     start = own, jnp.any(jumps), jnp.int32(0)
     counted, _, _ = lax.while_loop(lambda c: c[1] & (c[2] < _PASSES), search, start)
     fraction = jnp.sum(own & ~counted, axis=0, dtype=position.dtype) / count.astype(position.dtype)
@@ -90,7 +90,18 @@ def _has_jumps(x: Array, own: Array) -> Array:
     return jnp.any(whole & (size > _JUMP * masked_median(size, whole) + rounding), axis=(0, 1))
 
 
-def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride: Array) -> Array:
+def _corners(x: Array, times: Array, own: Array) -> Array:
+    """Largest corner (2, P, N) of paths x (9, P, N) near every pose; a single outlier has its distance."""
+    part = (times[1:-1] - times[:-2]) / (times[2:] - times[:-2])
+    bend = x[:, 1:-1] - x[:, :-2] - part * (x[:, 2:] - x[:, :-2])
+    size = jnp.where(own[4:], _lengths((2 * bend[:, 1:-1] - bend[:, :-2] - bend[:, 2:]) / 3), 0)
+    around = [(0, 0), (_NEAR + 2, _NEAR + 2), (0, 0)]
+    return lax.reduce_window(size, 0.0, lax.max, (1, 2 * _NEAR + 1, 1), (1, 1, 1), around)
+
+
+def _find(
+    x: Array, corner: Array, times: Array, own: Array, count: Array, unit: Array, stride: Array
+) -> Array:
     """Return which poses x (9, P, N), position and two columns of the rotation, are outliers, (P, N) bool."""
     number, last = x.shape[1], count - 1
     whole = jnp.concatenate([x, times[None]])
@@ -128,6 +139,7 @@ def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride:
     typical = jnp.maximum(typical, jnp.stack([unit / 2, jnp.zeros_like(unit)])[:, None])
     rounding = 64 * jnp.finfo(x.dtype).eps * (1 + jnp.max(jnp.abs(x), axis=(0, 1)))
     outlying = (distance > _OUTLIER * typical + rounding) & (distance > _AGREE * spread) & apart
+    outlying = outlying & (corner > _CORNER * distance)
     return (outlying[0] | outlying[1]) & (count > 2 * _REACH * stride)
 
 
