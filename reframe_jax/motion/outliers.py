@@ -19,6 +19,8 @@ from reframe_jax.geometry.small import pick, total
 from reframe_jax.motion.noise import masked_median
 from reframe_jax.motion.paths import move_along, twist_between
 
+__all__ = ["repair_poses"]
+
 Array = jax.Array
 _REACH = 5  # number of predictions, and of neighbours on either side
 _STRIDES = 1, 2, 4  # samples between neighbours; together they find runs of up to 10 outliers
@@ -95,8 +97,8 @@ def _corners(x: Array, times: Array, own: Array) -> Array:
     part = (times[1:-1] - times[:-2]) / (times[2:] - times[:-2])
     bend = x[:, 1:-1] - x[:, :-2] - part * (x[:, 2:] - x[:, :-2])
     size = jnp.where(own[4:], _lengths((2 * bend[:, 1:-1] - bend[:, :-2] - bend[:, 2:]) / 3), 0)
-    around = [(0, 0), (_NEAR + 2, _NEAR + 2), (0, 0)]
-    return lax.reduce_window(size, 0.0, lax.max, (1, 2 * _NEAR + 1, 1), (1, 1, 1), around)
+    around, zero = [(0, 0), (_NEAR + 2, _NEAR + 2), (0, 0)], jnp.zeros((), size.dtype)
+    return lax.reduce_window(size, zero, lax.max, (1, 2 * _NEAR + 1, 1), (1, 1, 1), around)
 
 
 def _find(
