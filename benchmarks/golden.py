@@ -10,6 +10,7 @@ Groups of recordings (:mod:`benchmarks.golden_cases` has the simulations):
 - ``soft``: the same constraints with slow errors of 0.1 to 3 mm and 0.5 to 10 mrad, at 20 Hz;
 - ``repeatable``: the same with errors that depend on the pose only, as those of an arm with wrong lengths;
 - ``stops``: the same constraints, with white noise or slow errors, moved in three parts with rests between;
+- ``faults``: the same constraints, with white noise and poses that jump, or with a missing second;
 - ``nothing``: unconstrained motions with white noise or slow errors;
 - ``paper``: the twelve constraints of the paper, identified with ``scales=1`` and its thresholds;
 - ``arm``: demonstrations on the simulated arm, only with ``--arm``.
@@ -331,7 +332,7 @@ def print_summary(record: Row) -> None:
     print(f"{'position, mm':>18}{'axis, deg':>18}{'inside':>8}{'inside':>8}{'time':>8}")
     for group, rows in groups.items():
         print(table_line(group, rows, record["seconds"].get(group)))
-    for group in [group for group in ("white", "soft", "repeatable", "stops") if group in groups]:
+    for group in [group for group in ("white", "soft", "repeatable", "stops", "faults") if group in groups]:
         print(f"\n{group} by constraint, with the most frequent wrong names")
         for label in CONSTRAINTS:
             rows = [row for row in groups[group] if row["constraint"] == label]

@@ -9,6 +9,9 @@ origin lies within 0.3 m of the body's origin along each axis. Sums of sines dri
 - ``measured``: three sines of 0.1 to 0.8 Hz an axis, rms 0.5 rad and 50 to 100 mm;
 - ``stops``: the same path in three moves, with rests of 0.83 s between them.
 
+In the group ``faults``, recordings of the motion ``measured`` with white noise have a fault: four poses that
+jump, of which the first or the last is one; two runs of two to seven poses that jump; or a missing second.
+
 White noise has a standard deviation of sigma in m for positions and sigma / 0.3 m in rad for orientations.
 Slow errors are sums of three sines of 0.1 to 1.2 Hz in random directions, half of their variance in the axes
 of the ground and half in the axes of the body; their size is the rms of each component, and encoder noise of
@@ -123,12 +126,14 @@ class Spec(NamedTuple):
     slow: float = 0.0
     slow_turn: float = 0.0
     seed: int = 0
+    fault: str = ""
 
     @property
     def recording(self) -> str:
         """Name of the recording, equal in all groups that use the recording."""
         errors = f"{self.slow:g} m {self.slow_turn:g} rad slow" if self.slow else f"{self.white:g} m"
-        return f"{self.label}/{self.motion}/{self.rate} Hz/{errors}/{self.seed}"
+        fault = self.fault and f" {self.fault}"
+        return f"{self.label}/{self.motion}/{self.rate} Hz/{errors}{fault}/{self.seed}"
 
 
 SIGMAS = (1e-6, 1e-5, 1e-4, 1e-3, 3e-3)  # m
@@ -170,6 +175,12 @@ def stops_specs() -> Iterator[Spec]:
             yield Spec("stops", label, "stops", 20, white, slow, turn, 30)
 
 
+def faults_specs() -> Iterator[Spec]:
+    moving = [label for label in CONSTRAINTS if label != "fixed"]
+    for fault, white, label in product(("jumps", "runs", "gap"), SIGMAS[1:4], moving):
+        yield Spec("faults", label, "measured", 20, white, seed=40, fault=fault)
+
+
 def paper_specs() -> Iterator[Spec]:
     for motion, sigma, label in product(("exciting", "paper"), SIGMAS[:4], TWELVE):
         yield Spec("paper", label, motion, 10, sigma)
@@ -182,6 +193,7 @@ PLANS = {
     "soft": soft_specs,
     "repeatable": repeatable_specs,
     "stops": stops_specs,
+    "faults": faults_specs,
     "nothing": nothing_specs,
     "paper": paper_specs,
 }
@@ -249,6 +261,7 @@ def _simulate_chunk(specs: Sequence[Spec]) -> list[Case]:
         if spec.motion == "paper" and spec.label in AMBIGUOUS:
             names, truth = names + AMBIGUOUS[spec.label], no_truth()
         key, times = f"{spec.group}/{spec.recording}", np.arange(len(poses)) / spec.rate
+        poses, times = _spoil(spec.fault, poses, times, random[i])
         strong = bool(_weakest_axis(spec, moved[taken]) >= (20 if spec.slow else 10))
         paper = spec.group == "paper"
         cases.append(Case(key, spec.group, spec.label, poses, times, names, truth, strong, paper))
@@ -333,6 +346,25 @@ def _disturb(spec: Spec, rotation: np.ndarray, position: np.ndarray, rng: np.ran
     before, after = (Rotation.from_rotvec(spec.slow_turn * slow[i]) for i in (2, 3))
     turned = before.as_matrix() @ rotation @ (after * Rotation.from_rotvec(white[1])).as_matrix()
     return make_poses(turned, position + white[0] + shift)
+
+
+def _spoil(
+    fault: str, poses: np.ndarray, times: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Let poses jump by 0.1 m and 0.5 rad, one by one or in runs, or remove a second."""
+    if fault == "gap":
+        start = rng.integers(len(times) // 4, len(times) // 2)
+        kept = (times < times[start]) | (times >= times[start] + 1)
+        return poses[kept], times[kept]
+    jumps: list[range] = []
+    if fault == "jumps":
+        jumps = [range(k, k + 1) for k in (rng.choice([0, len(times) - 1]), *rng.integers(0, len(times), 3))]
+    if fault == "runs":
+        jumps = [range(k, k + rng.integers(2, 8)) for k in rng.integers(5, len(times) - 15, 2)]
+    for jump in jumps:
+        poses[jump, :3, :3] = poses[jump, :3, :3] @ Rotation.from_rotvec(0.5 * rng.normal(size=3)).as_matrix()
+        poses[jump, :3, 3] += 0.1 * rng.normal(size=3)
+    return poses, times
 
 
 def _slow_error(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -68,7 +68,7 @@ def test_a_gap_in_a_fast_turn_is_filled_by_the_same_turn():
     np.testing.assert_allclose(rotation, exact[:, :3, :3], atol=0.02)
 
 
-@pytest.mark.parametrize("samples", [[30], [12, 13], [3, 28, 29, 45], [1], [49]], ids=str)
+@pytest.mark.parametrize("samples", [[30], [12, 13], [3, 28, 29, 45], [0], [1], [49], [50], [0, 4]], ids=str)
 @pytest.mark.parametrize(
     "spoil", [lambda p, s: turn(p, s, np.pi), lambda p, s: turn(p, s, 0.2), lambda p, s: shift(p, s, 0.05)]
 )

@@ -12,6 +12,7 @@ from reframe_jax.motion import kinematics
 from reframe_jax.motion.checks import window_status
 from reframe_jax.motion.noise import estimate_noise, unit_of_rounding
 from reframe_jax.motion.outliers import repair_poses
+from reframe_jax.motion.paths import sections_of
 
 _REACH = 2.0  # half the width of the cube of origins: 2 m, or twice the extent of the motion if that is more
 
@@ -25,6 +26,7 @@ class Prepared(NamedTuple):
     centre: Array  # (N, 3) m, mean position of the recorded poses, which is subtracted from all positions
     poses: Array  # (N, P, 4, 4) m, relative to ``centre``
     counted: Array  # (N, P) bool, poses that are neither outliers nor padding
+    section: Array | None  # (N, P) int, sections between gaps; None for chosen scales
     steps: Array  # (1, K) or (N, K) durations of the steps, s
     # (N,) number of poses before the padding
     count: Array  # type: ignore[assignment]  # tuple.count
@@ -75,12 +77,13 @@ def prepare_windows(
     else:
         noise = jnp.stack(estimate_noise(*still, counted, unit), axis=1)
     features = pose_features(rotation, position, steps, counted, count)
-    moments = scale_moments(features.values, counted.T, count, about_mean)
+    section = jnp.broadcast_to(sections_of(steps), own.shape) if scales is None else None
+    moments = scale_moments(features.values, counted.T, count, section, about_mean)
     square = jnp.max(jnp.where(counted, jnp.sum(jnp.square(position), axis=0), 0), axis=0)
     box = jnp.maximum(_REACH, _REACH * jnp.sqrt(jax.lax.stop_gradient(square)))
     if bounds is not None:
         box = jnp.where(jnp.isnan(bounds), box, jnp.asarray(bounds, box.dtype))
-    return Prepared(status, centre, poses, counted.T, steps, number, noise, features, moments, box)
+    return Prepared(status, centre, poses, counted.T, section, steps, number, noise, features, moments, box)
 
 
 def _harmless(poses: Array) -> Array:

@@ -53,7 +53,11 @@ class Moments(NamedTuple):
 
 
 def scale_moments(
-    values: jax.Array, counted: jax.Array, count: jax.Array | None, about_mean: bool = False
+    values: jax.Array,
+    counted: jax.Array,
+    count: jax.Array | None,
+    section: jax.Array | None = None,
+    about_mean: bool = False,
 ) -> Moments:
     """Compute the second moments of features at every scale.
 
@@ -61,6 +65,8 @@ def scale_moments(
         values: (N, F, P) features.
         counted: (N, P) bool, poses that count; a block counts if half of its poses do.
         count: (N,) number of poses before the padding; None without padding.
+        section: (N, P) int, section between gaps that a pose belongs to; None for one section.
+            Details are differences within a section, and the smooth part is relative to the section's mean.
         about_mean: whether to use no details, and displacements from the mean as the smooth part; the order
             of the poses then has no effect.
     """
@@ -84,11 +90,15 @@ def scale_moments(
         means = total * (here / jnp.maximum(weight, 1))
         if 2 * h * _PART < poses or h == 1:
             both = here[..., h:] * here[..., :-h]
+            if section is not None:
+                both *= (section[:, 2 * h - 1 :] == section[:, : 1 - 2 * h])[:, None]
             found = jnp.sum(both, axis=(1, 2))
             fits = (2 * h * _PART < number) & (found >= _FEWEST)
             products.append(_mean_products((means[..., h:] - means[..., :-h]) * both, found))
             details.append(jnp.where(fits, found / (2 * h), 0))
             widths.append(jnp.full(len(values), h, dtype))
+        if section is not None and h > 1:
+            here *= (section[:, h - 1 :] == section[:, : 1 - h])[:, None]
         # the largest block that fits, which is among the last three where there is padding
         if h > 1 and (2 * h * _PART >= poses if count is None else 16 * h * _PART >= poses):
             fits = ((h * _PART < number) & (2 * h * _PART >= number))[:, None, None]
@@ -100,8 +110,14 @@ def scale_moments(
         total, weight = materialize((total[..., h:] + total[..., :-h], weight[..., h:] + weight[..., :-h]))
         h *= 2
     rest, found = _about_mean(block, full)
+    sections = jnp.ones_like(used)
+    if section is not None:
+        first, last = (jnp.where(counted, section, end) for end in (poses, 0))
+        sections += jnp.max(last, axis=1) - jnp.min(first, axis=1)
+        one = jnp.all(sections <= 1)
+        rest = jax.lax.cond(one, lambda values, *_: values, _about_section, rest, full, section)
     products.append(_mean_products(rest, found))
-    details.append(jnp.maximum(used / width - 1, 0.5))
+    details.append(jnp.maximum(used / width - sections, 0.5))
     return Moments(
         jnp.stack(products, axis=1) + floor[:, None],
         jnp.stack(details, axis=1),
@@ -114,6 +130,17 @@ def _about_mean(values: jax.Array, weight: jax.Array) -> tuple[jax.Array, jax.Ar
     found = jnp.sum(weight, axis=(1, 2))
     mean = jnp.sum(values * weight, axis=2) / jnp.maximum(found, 1)[:, None]
     return (values - mean[..., None]) * weight, found
+
+
+def _about_section(values: jax.Array, weight: jax.Array, section: jax.Array) -> jax.Array:
+    """Values (N, F, P), 0 where the weight (N, 1, P) is 0, relative to the mean of their section (N, P)."""
+
+    def relative(values: jax.Array, weight: jax.Array, section: jax.Array) -> jax.Array:
+        both = jnp.concatenate([values, weight]).T
+        sums = jax.ops.segment_sum(both, section, len(section))[section].T
+        return (values - sums[:-1] / jnp.maximum(sums[-1], 1)) * weight
+
+    return jax.vmap(relative)(values, weight, section)
 
 
 def _mean_products(detail: jax.Array, found: jax.Array) -> jax.Array:

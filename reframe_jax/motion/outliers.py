@@ -1,11 +1,11 @@
 """Find outliers: poses that jump away and return, for example when a tracker flips an axis or swaps markers.
 
-The search predicts each pose five times, by interpolation between a pose one to five strides before and the
-pose as many strides after. A pose is an outlier under four conditions: its distance from the median
-prediction is large compared with usual distances; the five predictions agree with each other; the pose also
-lies far from the extrapolated motion before it and from that after it; and the path has a corner nearby. In
-fast smooth motion and at a single corner, the predictions do not agree. A body that jumps and stays at its
-new place agrees with the motion after the jump. A short fast motion between two rests has no corner.
+A run of up to twelve poses is an outlier if the poses around it agree with each other, but not with the run:
+the cubic through the two poses before it and the two after it predicts the next pose on either side much
+better than the first and the last pose of the run. In a short fast motion between two rests, the ends of the
+run are close to the cubic, and its middle is not: such a run is no outlier. The search removes short runs
+first, and starts again after each removal. A body that jumps and stays has no poses after the jump that agree
+with those before it. Of the two poses at either end, one alone can be an outlier.
 
 An outlier does not enter the moments. Between the poses beside it, the twist is constant.
 Arrays have components first, then samples, and windows last.
@@ -13,6 +13,7 @@ Arrays have components first, then samples, and windows last.
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from reframe_jax.geometry.small import pick, total
@@ -22,16 +23,12 @@ from reframe_jax.motion.paths import move_along, twist_between
 __all__ = ["repair_poses"]
 
 Array = jax.Array
-_REACH = 5  # number of predictions, and of neighbours on either side
-_STRIDES = 1, 2, 4  # samples between neighbours; together they find runs of up to 10 outliers
-_OUTLIER = 7.0  # smallest distance from the prediction, in medians of all distances: five standard deviations
-_AGREE = 3.0  # the same, in medians of the distances of the five predictions from their median
+_LONGEST = 12  # poses of a run, at most
+_AROUND = 6  # poses around a run: four for the cubic, and two that it has to predict
+_NOISES = 4.0  # smallest distance from the cubic, in medians of its noise: six standard deviations
+_AGREE = 3.0  # the same, in distances of the two other poses from the cubic
+_SUDDEN = 0.4  # smallest distance of the ends of a run from the cubic, over that of its middle
 _MOST = 0.3  # largest fraction of outliers; with more, no pose is an outlier
-_APART = 0.5  # smallest distance from the extrapolated motion, as a fraction of that from the prediction
-_CORNER = 0.35  # smallest corner near an outlier, as the same fraction; the ends of a run have 0.5
-_NEAR = 6  # samples from an outlier to the corner, at most: runs may be twice as long
-_JUMP = 4.0  # ratio of a fourth difference to the median, above which the search for outliers starts
-_PASSES = 6  # largest number of searches: each search shortens long runs of outliers from their ends
 
 
 def repair_poses(
@@ -51,25 +48,24 @@ def repair_poses(
         is, neither outliers nor padding.
     """
     own = jnp.arange(position.shape[1], dtype=jnp.int32)[:, None] < count
-    if position.shape[1] <= 2 * _REACH:
+    if position.shape[1] <= _AROUND + 4:
         return rotation, position, own
     measured: Array = lax.stop_gradient(jnp.concatenate([position, rotation[:, :2].reshape(6, *own.shape)]))
     # the size of a jump is not a unit of rounding: rounded positions also have steps of one unit
     step = jnp.abs(jnp.diff(measured[:3], axis=1))
     unit = jnp.minimum(unit, jnp.min(jnp.where((step > 0) & own[1:], step, jnp.inf), axis=(0, 1)))
-    strides = jnp.asarray([stride for stride in _STRIDES if stride == 1 or len(own) > 2 * _REACH * stride])
+    size = _lengths(jnp.diff(measured, n=4, axis=1)) / 70**0.5  # fourth differences, with the size of noise
+    whole = jnp.broadcast_to(own[4:, None], (len(own) - 4, 2, own.shape[1]))
+    noise = masked_median(jnp.swapaxes(size, 0, 1), whole)
+    jumps = jnp.any(own[4:] & (size > _NOISES * noise[:, None]), axis=(0, 1))
+    rounding = 64 * jnp.finfo(size.dtype).eps * (1 + jnp.max(jnp.abs(measured), axis=(0, 1)))
+    noise = jnp.maximum(noise, jnp.stack([unit / 2, jnp.zeros_like(unit)])) + rounding
 
-    def search(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        counted, _, passes = carry
-        filled = _interpolate(measured, times, counted)
-        found = lax.map(lambda stride: _find(filled, corner, times, own, count, unit, stride), strides)
+    def search(_: None) -> Array:
         # a window without a jump is not searched, whatever the other windows of the batch contain
-        found = counted & ~(jnp.any(found, axis=0) & jumps)
-        return found, jnp.any(found != counted), passes + 1
+        return own & (_measured(jnp.concatenate([measured, times[None]]), noise, count) | ~jumps)
 
-    jumps, corner = _has_jumps(measured, own), _corners(measured, times, own)
-    start = own, jnp.any(jumps), jnp.int32(0)
-    counted, _, _ = lax.while_loop(lambda c: c[1] & (c[2] < _PASSES), search, start)
+    counted = lax.cond(jnp.any(jumps), search, lambda _: own, None)
     fraction = jnp.sum(own & ~counted, axis=0, dtype=position.dtype) / count.astype(position.dtype)
     counted = jnp.where(fraction <= _MOST, counted, own)
 
@@ -84,79 +80,89 @@ def repair_poses(
     return *fixed, counted
 
 
-def _has_jumps(x: Array, own: Array) -> Array:
-    """Whether a fourth difference of poses x (9, P, N) is large, (N,): a fast test before the search."""
-    whole = jnp.broadcast_to((own[:-4] & own[4:])[:, None], (x.shape[1] - 4, 2, own.shape[1]))
-    size = jnp.swapaxes(_lengths(jnp.diff(x, n=4, axis=1)), 0, 1)
-    rounding = 64 * jnp.finfo(x.dtype).eps * (1 + jnp.max(jnp.abs(x), axis=(0, 1)))
-    return jnp.any(whole & (size > _JUMP * masked_median(size, whole) + rounding), axis=(0, 1))
+def _measured(path: Array, noise: Array, count: Array) -> Array:
+    """Return which poses and times (10, P, N) are no outliers, (P, N) bool; runs are removed one by one."""
+    here = jnp.arange(path.shape[1], dtype=jnp.int32)[:, None]
+
+    def search(carry: tuple[Array, ...]) -> tuple[Array, ...]:
+        number, failures, path, order, left = carry
+        starts = _runs(path, noise, left, number)
+        found = here - lax.cummax(jnp.where(starts, here, -_LONGEST), axis=0) < number
+
+        def remove(_: None) -> tuple[Array, ...]:
+            # the found poses move to the end
+            kept = jnp.argsort(found, axis=0, stable=True).astype(jnp.int32)
+            fewer = left - jnp.sum(found, axis=0, dtype=left.dtype)
+            return jnp.int32(0), pick(path, kept, 1), pick(order, kept, 0), fewer
+
+        kept = failures + 1, path, order, left
+        return number % _LONGEST + 1, *lax.cond(jnp.any(found), remove, lambda _: kept, None)
+
+    # all lengths are tried in turn, until none of them finds a run
+    start = jnp.int32(1), jnp.int32(0), path, jnp.broadcast_to(here, path.shape[1:]), count
+    *_, path, order, left = lax.while_loop(lambda carry: carry[1] < _LONGEST, search, start)
+    kept = (here < left) & ~_ends(path, noise, left)
+    return pick(kept, jnp.argsort(order, axis=0), 0)
 
 
-def _corners(x: Array, times: Array, own: Array) -> Array:
-    """Largest corner (2, P, N) of paths x (9, P, N) near every pose; a single outlier has its distance."""
-    part = (times[1:-1] - times[:-2]) / (times[2:] - times[:-2])
-    bend = x[:, 1:-1] - x[:, :-2] - part * (x[:, 2:] - x[:, :-2])
-    size = jnp.where(own[4:], _lengths((2 * bend[:, 1:-1] - bend[:, :-2] - bend[:, 2:]) / 3), 0)
-    around, zero = [(0, 0), (_NEAR + 2, _NEAR + 2), (0, 0)], jnp.zeros((), size.dtype)
-    return lax.reduce_window(size, zero, lax.max, (1, 2 * _NEAR + 1, 1), (1, 1, 1), around)
+def _runs(path: Array, noise: Array, count: Array, number: Array) -> Array:
+    """Return at which poses and times (10, P, N) a run of ``number`` outliers starts, (P, N) bool."""
+    start = jnp.arange(path.shape[1], dtype=jnp.int32)[:, None]
+    padded = jnp.pad(path, ((0, 0), (3, _LONGEST + 3), (0, 0)))
 
-
-def _find(
-    x: Array, corner: Array, times: Array, own: Array, count: Array, unit: Array, stride: Array
-) -> Array:
-    """Return which poses x (9, P, N), position and two columns of the rotation, are outliers, (P, N) bool."""
-    number, last = x.shape[1], count - 1
-    whole = jnp.concatenate([x, times[None]])
-    # the path is extended at both ends by reflection in its first and in its last pose
-    reach = 2 * _REACH * max(_STRIDES)
-    each = jnp.arange(-reach, number + reach, dtype=jnp.int32)[:, None]
-    inside = jnp.clip(jnp.abs(jnp.where(each > last, 2 * last - each, each)), 0, number - 1)
-    path = pick(whole, inside, 1)
-    end = pick(whole, last[None], 1)
-    path = jnp.where(each < 0, 2 * whole[:, :1] - path, path)
-    path = lax.optimization_barrier(jnp.where(each > last, 2 * end - path, path))
-
-    def beside(samples: Array) -> Array:
-        """Return the poses and times (10, 5, P, N) at 1 to 5 times ``samples`` after every pose."""
-        starts = [reach + k * samples for k in range(1, _REACH + 1)]
-        parts = [
-            lax.dynamic_slice_in_dim(path, start, number, 1, allow_negative_indices=False) for start in starts
-        ]
+    def at(*offsets: int | Array) -> Array:
+        """Return the poses (10, M, P, N) at offsets from the start of the run."""
+        parts = [lax.dynamic_slice_in_dim(padded, 3 + offset, len(start), 1) for offset in offsets]
         return jnp.stack(parts, axis=1)
 
-    before, after = beside(-stride), beside(stride)
-    part = (times - before[9]) / (after[9] - before[9])
-    before, after = before[:9], after[:9]
-    guesses = before + part * (after - before)
-    middle = _median_of_five(guesses)
-    # after a jump to another place, the path continues from the poses on one side
-    behind, ahead = (
-        _median_of_five(2 * near - beside(2 * side * stride)[:9]) for side, near in ((-1, before), (1, after))
-    )
-    distance, spread = _lengths(x - middle), _median_of_five(_lengths(guesses - middle[:, None]))  # (2, P, N)
-    apart = jnp.minimum(_lengths(behind - x), _lengths(ahead - x)) > _APART * distance
-    distance, spread, apart = lax.optimization_barrier((distance, spread, apart))  # computed once on a GPU
-    mask = jnp.broadcast_to(own[:, None], (number, 2, own.shape[1]))
-    typical = masked_median(jnp.swapaxes(distance, 0, 1), mask)[:, None]
-    typical = jnp.maximum(typical, jnp.stack([unit / 2, jnp.zeros_like(unit)])[:, None])
-    rounding = 64 * jnp.finfo(x.dtype).eps * (1 + jnp.max(jnp.abs(x), axis=(0, 1)))
-    outlying = (distance > _OUTLIER * typical + rounding) & (distance > _AGREE * spread) & apart
-    outlying = outlying & (corner > _CORNER * distance)
-    return (outlying[0] | outlying[1]) & (count > 2 * _REACH * stride)
+    around = at(-2, -1, number, number + 1, -3, number + 2)
+    known = jnp.stack(jnp.broadcast_arrays(start >= 3, start + number + 3 <= count))
+    apart = _are_apart(around, known, at(0, number // 2, number - 1), noise)
+    return apart & (start >= 2) & (start + number + 2 <= count)
+
+
+def _ends(path: Array, noise: Array, count: Array) -> Array:
+    """Return which of the two poses at either end of poses and times (10, P, N) are outliers, (P, N) bool."""
+    here = jnp.arange(path.shape[1], dtype=jnp.int32)[:, None]
+    inward = jnp.arange(_AROUND + 1, dtype=jnp.int32)[:, None]
+    places = jnp.concatenate([inward + 0 * count, jnp.maximum(count - 1 - inward, 0)])
+    near = pick(path, places, 1).reshape(10, 2, _AROUND + 1, -1)  # poses from either end inward
+    around = jnp.stack([near[:, :, 1:], near[:, :, np.array([0, 2, 3, 4, 5, 6])]], axis=2)
+    run, known = near[:, None, :, :2], jnp.ones((2, 1, 1, 1), bool)
+    apart = _are_apart(jnp.moveaxis(around, 3, 1), known, run, noise).reshape(4, -1)
+    ends = places.reshape(2, _AROUND + 1, -1)[:, :2].reshape(4, -1)
+    return jnp.any(apart[:, None] & (here == ends[:, None]), axis=0) & (count > _AROUND)
+
+
+def _are_apart(around: Array, known: Array, run: Array, noise: Array) -> Array:
+    """Return whether poses disagree with those around them, (...) bool.
+
+    Args:
+        around: (10, 6, ...) poses and times around the run: four for the cubic, and two to test it.
+        known: (2, ...) bool, whether the last two exist.
+        run: (10, M, ...) first, middle and last pose of the run; or its only pose.
+        noise: (2, N) size of the noise of positions and rotations.
+    """
+    nodes, tested = around[:, :4], jnp.concatenate([around[:, 4:], run], axis=1)
+    # Lagrange's cubic; poses outside of the path have no different times
+    gaps = nodes[9, :, None] - nodes[9]
+    gaps = jnp.prod(jnp.where(gaps == 0, 1, gaps), axis=1)
+    away = tested[9, :, None] - nodes[9]
+    weights = jnp.prod(away, axis=1)[:, None] / jnp.where(away == 0, 1, away * gaps)
+    predicted = total(weights * nodes[:9, None], 2)
+    gain = 1 + total(jnp.square(weights), 1)
+    distance = _lengths(tested[:9] - predicted)  # (2, 2 + M, ...)
+    others, first, middle, last = distance[:, :2], *(distance[:, i] for i in (2, 2 + len(run[0]) // 2, -1))
+    ends = jnp.minimum(first, last)
+    noise = noise.reshape(2, *[1] * (ends.ndim - 2), -1) * jnp.sqrt(jnp.maximum(gain[2], gain[-1]))
+    agree = _AGREE * jnp.max(jnp.where(known, others, 0), axis=1)
+    return jnp.any((ends > _NOISES * noise) & (ends > agree) & (ends > _SUDDEN * middle), axis=0)
 
 
 def _lengths(x: Array) -> Array:
     """Return the lengths (2, ...) of the position part and the rotation part of components (9, ...)."""
     square = x * x
     return jnp.sqrt(jnp.stack([total(square[:3], 0), total(square[3:], 0)]))
-
-
-def _median_of_five(values: Array) -> Array:
-    """Median (C, ...) over the second axis of values (C, 5, ...)."""
-    a, b, c, d, e = (values[:, k] for k in range(5))
-    low = jnp.maximum(jnp.minimum(a, b), jnp.minimum(c, d))
-    high = jnp.minimum(jnp.maximum(a, b), jnp.maximum(c, d))
-    return jnp.maximum(jnp.minimum(e, jnp.maximum(low, high)), jnp.minimum(low, high))
 
 
 def _beside(times: Array, counted: Array) -> tuple[Array, Array, Array]:
@@ -169,10 +175,3 @@ def _beside(times: Array, counted: Array) -> tuple[Array, Array, Array]:
     before, after = jnp.clip(before, 0, number - 1), jnp.clip(after, 0, number - 1)
     start, end = (pick(times, place, 0) for place in (before, after))
     return before, after, jnp.where(end > start, (times - start) / jnp.where(end > start, end - start, 1), 0)
-
-
-def _interpolate(x: Array, times: Array, counted: Array) -> Array:
-    """Replace components (C, P, N) of poses that are not counted by interpolation between counted poses."""
-    before, after, part = _beside(times, counted)
-    first = pick(x, before, 1)
-    return jnp.where(counted, x, first + part * (pick(x, after, 1) - first))

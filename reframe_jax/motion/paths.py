@@ -16,6 +16,7 @@ from reframe_jax.geometry.small import axial, cross, materialize, pick, times, t
 Array = jax.Array
 _STENCIL = 7  # samples in the derivative of the twist
 _EVEN = 5  # longest over shortest step, above which derivatives across them amplify noise
+_GAP = 5, 0.9  # a step that takes five times as long as nine in ten of all steps is a gap
 
 
 def _logarithm(turn: Array) -> tuple[Array, Array]:
@@ -107,6 +108,25 @@ def twist_paths(rotation: Array, position: Array, steps: Array, count: Array | N
         path, reach = materialize(path + earlier), 2 * reach
     path = jnp.pad(path, ((0, 0), (0, 0), (0, 0), (1, 0), (0, 0)))
     return path[:, 0], path[:, 1]
+
+
+def sections_of(steps: Array) -> Array:
+    """Number the sections between the gaps of a recording from 0, (1, K+1) or (N, K+1) int for every pose.
+
+    The twist within a gap is not known, so that its integral is known only from pose to pose of a section.
+
+    Args:
+        steps: (1, K) or (N, K) s, time steps.
+    """
+
+    def count(_: None) -> Array:
+        times, quantile = _GAP
+        gaps = steps > times * jnp.quantile(steps, quantile, axis=1, keepdims=True)
+        return jnp.cumsum(gaps, axis=1, dtype=jnp.int32)
+
+    uneven = jnp.any(jnp.max(steps, axis=1) > _GAP[0] * jnp.min(steps, axis=1))
+    after = jax.lax.cond(uneven, count, lambda _: jnp.zeros(steps.shape, jnp.int32), None)
+    return jnp.pad(after, ((0, 0), (1, 0)))
 
 
 def bracket(a: Array, b: Array) -> Array:

@@ -209,11 +209,16 @@ def _moments_of_parts(window: Prepared, parts: str, about_mean: bool) -> tuple[M
         own = block[:, None] != jnp.arange(BLOCKS)[:, None]
         place = jnp.broadcast_to(every, own.shape)
         length = jnp.broadcast_to(count[:, None], own.shape[:2])
-    kept = jax.vmap(lambda counted, i: counted[i])(window.counted, place) & own
-    taken = jax.vmap(jax.vmap(lambda value, i: value[:, i], (None, 0)))(values, place)
-    taken = taken.reshape(-1, *taken.shape[2:])
-    moments = scale_moments(taken, kept.reshape(-1, kept.shape[2]), length.ravel(), about_mean)
-    return moments, jnp.sum(kept, axis=2)
+
+    def take(values: Array) -> Array:
+        """Take the poses of the parts, (N * M, ..., P), from values (N, ..., P) of windows."""
+        taken = jax.vmap(jax.vmap(lambda value, i: value[..., i], (None, 0)))(values, place)
+        return taken.reshape(-1, *taken.shape[2:])
+
+    kept = take(window.counted) & own.reshape(-1, own.shape[2])
+    section = None if window.section is None else take(window.section)
+    moments = scale_moments(take(values), kept, length.ravel(), section, about_mean)
+    return moments, jnp.sum(kept, axis=1).reshape(length.shape)
 
 
 def _fit_window(window: Windows, products: Array, details: Array, poses: Array) -> Refit:
