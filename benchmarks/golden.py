@@ -172,7 +172,7 @@ def run(cases: Sequence[Case]) -> tuple[dict[str, Row], dict[str, float], list[s
 def _run_batch(batch: Sequence[Case]) -> tuple[dict[str, Row], float, str]:
     """Identify recordings of equal length; return rows, seconds, and a note."""
     first, single, start = batch[0], batch[0].group == "real", time.perf_counter()
-    options: dict[str, Any] = {"times": first.times} if single else {"dt": float(first.times[1])}
+    options: dict[str, Any] = {"times": first.times if single else np.array([case.times for case in batch])}
     paper: dict[str, Any] = {"scales": 1, "thresholds": rf.Thresholds()} if first.paper_settings else {}
     poses = first.poses if single else np.array([case.poses for case in batch])
     try:

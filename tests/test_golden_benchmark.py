@@ -208,10 +208,10 @@ def test_a_type_that_belongs_to_the_name_must_be_right():
 def test_a_run_without_a_covariance(monkeypatch):
     cases = hinges()
 
-    def identify(poses, *, dt):
+    def identify(poses, *, times):
         return planted([case for case in cases if len(case.poses) == poses.shape[1]][: len(poses)])
 
-    def covariance(found, poses, *, dt):
+    def covariance(found, poses, *, times):
         raise NotImplementedError("no covariance yet")
 
     monkeypatch.setattr(golden.rf, "identify", identify)

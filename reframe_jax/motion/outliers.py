@@ -99,7 +99,7 @@ def _measured(path: Array, noise: Array, count: Array) -> Array:
         return number % _LONGEST + 1, *lax.cond(jnp.any(found), remove, lambda _: kept, None)
 
     # all lengths are tried in turn, until none of them finds a run
-    start = jnp.int32(1), jnp.int32(0), path, jnp.broadcast_to(here, path.shape[1:]), count
+    start: tuple[Array, ...] = jnp.int32(1), jnp.int32(0), path, jnp.broadcast_to(here, path.shape[1:]), count
     *_, path, order, left = lax.while_loop(lambda carry: carry[1] < _LONGEST, search, start)
     kept = (here < left) & ~_ends(path, noise, left)
     return pick(kept, jnp.argsort(order, axis=0), 0)

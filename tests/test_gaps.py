@@ -1,0 +1,50 @@
+"""Displacements across a gap in the times of a recording are not used."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import reframe_jax as rf
+from benchmarks import golden_cases
+from reframe_jax.model.moments import scale_moments
+from reframe_jax.motion.paths import sections_of
+
+POSES = 100
+
+
+def test_sections_start_after_a_gap(rng: np.random.Generator) -> None:
+    even, jitter = np.full(POSES - 1, 0.05), rng.uniform(0.03, 0.07, POSES - 1)
+    broken = even.copy()
+    broken[[29, 59]] = 0.5
+    irregular = np.exp(rng.normal(size=POSES - 1))
+    found = np.asarray(sections_of(jnp.asarray([even, jitter, broken, irregular])))
+    assert np.all(found[:2] == 0)
+    np.testing.assert_array_equal(found[2], np.repeat([0, 1, 2], [30, 30, 40]))
+    assert found[3, -1] <= 3  # irregular times have long steps, which are no gaps
+
+
+def test_a_constant_in_each_section_changes_no_moment(rng: np.random.Generator) -> None:
+    values = np.cumsum(rng.normal(size=(2, 27, POSES)), axis=2)
+    section = np.repeat([[0, 1, 2], [0, 0, 0]], [30, 45, 25], axis=1)
+    counted = rng.uniform(size=(2, POSES)) > 0.05
+    other = values + np.stack([10 * rng.normal(size=(27, 3))[:, section[0]], np.ones((27, POSES))])
+    of = jax.jit(lambda values: scale_moments(values, jnp.asarray(counted), None, jnp.asarray(section)))
+    first, second = of(jnp.asarray(values)), of(jnp.asarray(other))
+    np.testing.assert_allclose(second.products, first.products, atol=1e-8)
+    np.testing.assert_array_equal(second.details, first.details)
+    whole = scale_moments(jnp.asarray(values), jnp.asarray(counted), None)
+    np.testing.assert_allclose(first.products[1], whole.products[1], atol=1e-12)
+    assert np.all(first.details[0, 1:] < whole.details[0, 1:])
+
+
+@pytest.mark.parametrize("label", "EFGH")
+def test_constraints_of_velocities_are_found_across_a_gap(label: str) -> None:
+    specs = [s for s in golden_cases.faults_specs() if (s.label, s.fault, s.white) == (label, "gap", 1e-4)]
+    (case,) = golden_cases.simulate(specs)
+    found = rf.identify(case.poses, times=case.times)
+    assert found.name in case.expected
+    assert found.probability > 0.9
+    assert np.all(found.counted)
+    spread = rf.covariance(found, case.poses, times=case.times)
+    assert np.all(np.isfinite(spread.matrix))
