@@ -125,13 +125,8 @@ def calibrate(poses: ArrayLike, *, spin: bool = False) -> Calibration:
             f"A calibration needs {MIN_POSES} different poses or more; there are {len(numbers)}."
         )
     found, rows = (_spin if spin else _pivot)(numbers.reshape(-1, 4, 4)), rows.ravel()
-    angles = found.axis_residuals
-    return replace(
-        found,
-        residuals=found.residuals[rows],
-        used=found.used[rows],
-        axis_residuals=None if angles is None else angles[rows],
-    )
+    angles = None if found.axis_residuals is None else found.axis_residuals[rows]
+    return replace(found, residuals=found.residuals[rows], used=found.used[rows], axis_residuals=angles)
 
 
 def _pivot(poses: np.ndarray) -> Calibration:

@@ -52,6 +52,9 @@ examples:
 class _Parser(argparse.ArgumentParser):
     """A parser that reports an error in one line and refers to the help."""
 
+    def __init__(self, **options: Any) -> None:
+        super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **options)
+
     def error(self, message: str) -> NoReturn:
         """Print the error in one line and exit with code 2."""
         self.exit(2, f"{self.prog}: error: {message.rstrip('.')}; see {self.prog} --help\n")
@@ -98,12 +101,7 @@ def build_parser(words: Collection[str] = COMMANDS) -> argparse.ArgumentParser:
 
     The other commands have a name but no options.
     """
-    parser = _Parser(
-        prog="reframe-jax",
-        description=_DESCRIPTION,
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = _Parser(prog="reframe-jax", description=_DESCRIPTION, epilog=_EXAMPLES)
     parser.add_argument("--version", action="version", version=f"%(prog)s {reframe_jax.__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, text in COMMANDS.items():
@@ -113,13 +111,8 @@ def build_parser(words: Collection[str] = COMMANDS) -> argparse.ArgumentParser:
         module = importlib.import_module(f"reframe_jax.cli.{name}")
         examples = [line for line in _EXAMPLES.splitlines() if f"reframe-jax {name} " in line]
         heading = [f"example{'' if len(examples) == 1 else 's'}:"] if examples else []
-        command = commands.add_parser(
-            name,
-            description=module.__doc__,
-            help=text,
-            epilog="\n".join([*heading, *examples]),
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
+        epilog = "\n".join([*heading, *examples])
+        command = commands.add_parser(name, help=text, description=module.__doc__, epilog=epilog)
         command.set_defaults(run=module.run, usage_error=command.error)
         module.add_options(command)
     return parser

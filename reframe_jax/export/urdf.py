@@ -38,8 +38,7 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
     except ValueError as error:
         raise ValueError(f"URDF has no ball joint. {error} Write MJCF or SDF.") from None
     robot = ElementTree.Element("robot", name=f"{joint.parent}_{joint.child}")
-    compiler = {"fusestatic": "false", "discardvisual": "false"}
-    element(element(robot, "mujoco"), "compiler", **compiler)
+    element(element(robot, "mujoco"), "compiler", fusestatic="false", discardvisual="false")
     element(robot, "link", name=joint.parent)
     last, place = joint.parent, np.zeros(3)
     for name, part in zip(robots.part_names(joint), joint.parts, strict=True):

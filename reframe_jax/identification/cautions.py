@@ -41,16 +41,11 @@ def caution_codes(
     thresholds: Thresholds | None,
     marks: dict[Caution, jax.Array],
 ) -> jax.Array:
-    """Collect the warnings of a window in one code.
+    """Collect the warnings of a window in one code, () int32, with the bits of :class:`Caution`.
 
-    Args:
-        velocities: () number of steps between the poses of the window without outliers.
-        rms: (3,) rad/s and (3,) m/s, RMS velocities along the axes of the angular and the linear frame.
-        thresholds: the thresholds that decide which axes are free; None if probabilities decide.
-        marks: () bool, whether other warnings apply.
-
-    Returns:
-        () int32, bits of :class:`Caution`.
+    ``velocities`` () counts the steps between the poses of the window without outliers, ``rms`` has the RMS
+    velocities along the axes of the angular frame, (3,) rad/s, and of the linear frame, (3,) m/s. The
+    thresholds are None if probabilities decide. ``marks`` () bool states whether other warnings apply.
     """
     marked = {Caution.FEW_VELOCITIES: velocities <= _FEW, **marks}
     if thresholds is not None:
@@ -68,13 +63,9 @@ def caution_codes(
 def caution_sentences(
     code: int, velocities: int, speeds: tuple[list[float], list[float]], probability: float
 ) -> list[str]:
-    """Return the warnings of one window as sentences.
+    """Return the warnings of one window as sentences, from the code and the numbers of :func:`caution_codes`.
 
-    Args:
-        code: bits of :class:`Caution`.
-        velocities: number of steps between the poses of the window without outliers.
-        speeds: RMS velocities along the three axes of the angular frame, rad/s, and of the linear frame, m/s.
-        probability: probability of the name.
+    The speeds are its ``rms``, and the probability is that of the name.
     """
     found = Caution(code)
     stated = f"probability {'below 0.01' if probability < 0.01 else f'{probability:.2f}'}"

@@ -91,15 +91,9 @@ class Tested(Protocol):
 
 
 def explain_window(found: Any, spread: Spread | None, tested: Tested | None) -> str:
-    """Explain an identification in up to six lines.
+    """Explain the :class:`.Identification` of one window, as NumPy arrays, with a result.
 
-    The lines state the constraint, its probability, the displacements along constrained and free axes, the
-    origin, the axis, what the motion does not determine, and which motion to record.
-
-    Args:
-        found: :class:`.Identification` of one window, as NumPy arrays, with a result.
-        spread: covariance of this result, for error bars; None for a text without error bars.
-        tested: degrees of freedom that the motion tested; None if they are not known.
+    The lines and the other arguments are those of :meth:`.Identification.explain`.
     """
     freedom = found.name.removeprefix("Unnamed: ")
     like = _LIKE.get(found.name, f"This combination of free axes has no common name: {freedom}")
@@ -119,18 +113,14 @@ def explain_window(found: Any, spread: Spread | None, tested: Tested | None) -> 
 
 def _held(found: Any) -> list[str]:
     """State the largest RMS displacement along constrained and along free axes, in mm and in mrad."""
-    sizes = []
-    for free in (0, 1):
-        moved = [
-            (found.linear.amplitude[found.linear.dof == free], "mm"),
-            (found.angular.amplitude[found.angular.dof == free], "mrad"),
-        ]
-        sizes.append(
-            " and ".join(
-                f"{two_digits(1e3 * float(np.max(size)))} {unit}" for size, unit in moved if len(size)
-            )
+    held, free_motion = (
+        " and ".join(
+            f"{two_digits(1e3 * float(frame.amplitude[frame.dof == free].max()))} {unit}"
+            for frame, unit in ((found.linear, "mm"), (found.angular, "mrad"))
+            if free in frame.dof
         )
-    held, free_motion = sizes
+        for free in (0, 1)
+    )
     if not held or not free_motion or np.isfinite(found.universal_axes).all():
         return []
     return [

@@ -26,12 +26,9 @@ _REMEDIES = {
 def read_numbers(name: str, value: Any) -> Any:
     """Convert an argument to an array of float32, float64 or integers.
 
-    JAX arrays are returned unchanged. Other arguments become NumPy arrays in the byte order of the machine;
-    floats with more than 64 bits are rounded to float64.
-
-    Args:
-        name: name of the argument, for messages.
-        value: an array, a number, or nested lists of numbers.
+    JAX arrays are returned unchanged. Other arrays, numbers and nested lists of numbers become NumPy arrays
+    in the byte order of the machine; floats with more than 64 bits are rounded to float64. The name of the
+    argument is for messages.
 
     Raises:
         ValueError: for anything but real numbers, for a masked array, or for floats of 16 bits or fewer.
@@ -91,15 +88,9 @@ def take_poses(poses: Any) -> Any:
 
 
 def take_steps(poses: Any, times: Any, dt: Any) -> Any:
-    """Compute the durations of the steps between consecutive poses, from times or dt.
+    """Return the durations of the steps, (K,) or (..., K) s, between poses (..., K+1, 4, 4).
 
-    Args:
-        poses: (..., K+1, 4, 4), as :func:`take_poses` returns them.
-        times: (K+1,) or (..., K+1) sample times, s, or None.
-        dt: durations, s: a scalar, (K,) or (..., K), or None.
-
-    Returns:
-        (K,) or (..., K) s.
+    They are those of the sample times, (K+1,) or (..., K+1) s, or ``dt``, s: a scalar, (K,) or (..., K).
 
     Raises:
         ValueError: unless exactly one of ``times`` and ``dt`` is given, with real numbers in one of these
@@ -232,16 +223,10 @@ def map_windows(
 ) -> Any:
     """Call a function of N windows for windows with any leading axes, one chunk of windows after another.
 
-    Args:
-        function: function of a pytree as ``windows``, with one leading axis.
-        windows: pytree of arrays with the same leading axes.
-        axes: number of leading axes.
-        chunks: number of windows in a chunk, by the name of the backend.
-        number: number of windows to compute, or None for all. Results of the chunks after them are zeros, and
-            there is no reverse derivative.
-
-    Returns:
-        The results of the function, with the leading axes of ``windows``.
+    The windows are a pytree of arrays with the same leading axes, whose number is ``axes``; the function
+    takes such a pytree with one leading axis. The results have the leading axes of the windows. ``chunks``
+    has the number of windows in a chunk, by the name of the backend. ``number`` is the number of windows to
+    compute, or None for all: results of the chunks after them are zeros, without a reverse derivative.
     """
     batch, chunk = jax.tree.leaves(windows)[0].shape[:axes], chunks.get(jax.default_backend(), chunks["cpu"])
     total, parts = math.prod(batch), -(-math.prod(batch) // chunk)

@@ -51,9 +51,7 @@ def codes_of(name: str) -> tuple[int, ...]:
     """
     wanted = _COMMON.get(name.casefold(), name).casefold()
     codes = tuple(
-        code
-        for code, entry in enumerate(ENTRIES)
-        if wanted in (entry.label.casefold(), name_of(code).casefold())
+        i for i, entry in enumerate(ENTRIES) if wanted in (entry.label.casefold(), name_of(i).casefold())
     )
     if codes:
         return codes
@@ -81,11 +79,9 @@ _COMMON = {
 
 
 def _class_codes() -> np.ndarray:
-    """Return the entry for each linear type, number of free rotations and translations, and axis relation.
+    """Return codes (4, 4, 4, 3) by linear type, number of free rotations and translations, and axis relation.
 
-    Returns:
-        (4, 4, 4, 3) codes. The last index is the relation of the distinct axes (see ``AxisRelation``):
-        parallel (0), perpendicular (1) or oblique (2).
+    The relation of distinct axes (see ``AxisRelation``) is parallel (0), perpendicular (1) or oblique (2).
     """
     codes = np.full((4, 4, 4, 3), NO_ENTRY, np.int32)
     for code in reversed(range(len(ENTRIES))):

@@ -37,15 +37,9 @@ def smallest_scale(live: Moments) -> Array:
 
 
 def rms_velocities(weights: Array, live: Moments, step: Array) -> Array:
-    """Compute the RMS velocities of three coordinates, at the smallest scale that the window uses.
+    """Compute the RMS velocities (3,), m/s or rad/s, at the smallest scale that the window uses.
 
-    Args:
-        weights: (3, 27) weights of the features in each coordinate.
-        live: moments of the window.
-        step: mean time between two poses, s.
-
-    Returns:
-        (3,) m/s or rad/s.
+    The weights (3, 27) are those of the features in each coordinate; ``step`` is the mean step, s.
     """
     smallest = smallest_scale(live)
     products = jnp.sum(jnp.where(smallest[:, None, None], live.products, 0), axis=0)
@@ -79,13 +73,8 @@ def types_over_scales(solved: Solved, live: Moments, step: Array) -> Types:
 def types_of_steps(moments: tuple[Array, Array], solved: Solved, exponent: float) -> Types:
     """Compute the best frames of N windows by the paper's norm of the velocities of single steps.
 
-    Args:
-        moments: moments of angular and of linear velocities, see :func:`.step_moments`.
-        solved: result of the model; only its origins are used.
-        exponent: exponent of the power mean over the axes.
-
-    Returns:
-        The frames, with a leading axis (N,).
+    The moments are those of :func:`.step_moments`; of the result of the model, only the origins are used. The
+    exponent is that of the power mean over the axes. The result has a leading axis (N,).
     """
     angular, linear = moments
     zero = jnp.zeros_like(angular[0, 0])

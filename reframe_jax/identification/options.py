@@ -48,17 +48,10 @@ class Options(NamedTuple):
 
 
 def take_scales(scales: Any, poses: int) -> tuple[int, ...] | None:
-    """Check the time scales.
-
-    Args:
-        scales: "auto", "mean", a number of samples, or several numbers.
-        poses: number of poses in a window.
-
-    Returns:
-        None for "auto", an empty tuple for "mean", otherwise the numbers in ascending order.
+    """Return None for the scales "auto", an empty tuple for "mean", else the numbers in ascending order.
 
     Raises:
-        ValueError: unless the numbers are powers of two, at most an eighth of the number of poses.
+        ValueError: unless the numbers are powers of two, at most an eighth of the poses in a window.
     """
     if isinstance(scales, str):
         if scales == "auto":

@@ -34,23 +34,16 @@ def default_solver(norm: float = 0.0) -> BasinHopping | JointSearch:
 def step_moments(
     poses: jax.Array, steps: jax.Array, discretization: Discretization
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute the second moments of the velocities of single steps.
+    """Compute the second moments of the velocities of single steps, of poses (N, K+1, 4, 4), m.
 
-    Args:
-        poses: (N, K+1, 4, 4) m.
-        steps: (1, K) or (N, K) durations of the steps, s.
-        discretization: method to compute a velocity from two poses.
-
-    Returns:
-        (6, 1, N, 2) moments of angular velocities, and (6, 10, N, 4) moments of linear velocities; the last
-        axis lists the frame types.
+    The durations of the steps are (1, K) or (N, K), s. The moments of angular velocities are (6, 1, N, 2),
+    those of linear velocities (6, 10, N, 4); the last axis lists the frame types.
     """
     found = []
     for maps in kinematics.velocity_components(poses, steps, discretization):
         moments = jnp.moveaxis(component_moments(maps), 2, -1)
-        squares = [
-            moments[i, j] for i in (0, 3, 5) for j in ((0,) if moments.shape[1] == 1 else (0, 4, 7, 9))
-        ]
+        columns = (0,) if moments.shape[1] == 1 else (0, 4, 7, 9)
+        squares = [moments[i, j] for i in (0, 3, 5) for j in columns]
         floor = _FLOOR * float(jnp.finfo(moments.dtype).eps) * jnp.sum(jnp.stack(squares), axis=0)
         found.append(add_variance(moments, jax.lax.stop_gradient(floor)))
     return found[0], found[1]
@@ -59,18 +52,11 @@ def step_moments(
 def paper_origins(
     window: Prepared, linear: jax.Array, exponent: float, solver: Solver | None, key: jax.Array
 ) -> jax.Array:
-    """Find the origin with the lowest norm of the paper, for every linear type.
+    """Find the origins (N, 4, 3), m, with the lowest norm of the paper, for every linear type.
 
-    Args:
-        window: N prepared windows.
-        linear: (6, 10, N, 4) moments of the linear velocities, see :func:`step_moments`.
-        exponent: exponent of the power mean over the axes.
-        solver: search for the origins; None for :func:`.lowest_origins` if the exponent is 0, otherwise for
-            :func:`default_solver`.
-        key: JAX random key of the solver.
-
-    Returns:
-        (N, 4, 3) m.
+    ``linear`` has the moments of the linear velocities of :func:`step_moments`, and the exponent is that of
+    the power mean over the axes. If the solver is None, the origins are those of :func:`.lowest_origins` for
+    an exponent of 0, otherwise of :func:`default_solver`; ``key`` is the JAX random key of the solver.
     """
     if exponent == 0 and solver is None:
         coefficients = jnp.moveaxis(linear, -1, 2)[:, :, None, :, None]

@@ -33,18 +33,10 @@ def identify_windows(
 ) -> Identification:
     """Identify N windows of checked poses.
 
-    Args:
-        poses: (N, P, 4, 4) m.
-        steps: (K,) or (N, K) durations of the steps, s.
-        count: (N,) number of poses in each window, if the poses after them are padding; else None.
-        bounds: () m, half the width of the cube of origins; None or NaN for the default.
-        thresholds: RMS velocities above which an axis is free; None if probabilities decide.
-        key: JAX random key of the solver.
-        scales: numbers of samples; None for all scales at which the motion exceeds the noise.
-        exponent: exponent of the power mean over the axes.
-        discretization: method to compute a velocity from two poses, in the paper's search.
-        solver: solver of the paper's search; None for the search over time scales.
-        assume: codes of the entries to fit; None for the most probable entries.
+    The first arguments and ``scales`` are those of :func:`.prepare_windows`, the thresholds those of
+    :func:`.report_windows`. The key, exponent, discretization and solver are those of the paper's search
+    (:func:`.paper_origins`), without which origins are searched over time scales. ``assume`` has the codes of
+    the entries to fit; None for the most probable entries.
     """
     window = prepare_windows(poses, steps, count, bounds, scales)
     fixed: Prepared = jax.lax.stop_gradient(window)
@@ -56,28 +48,12 @@ def identify_windows(
     if steps_only or exponent != 0 or solver is not None or discretization != "chord":
         of_steps = step_moments(window.poses, window.steps, discretization)
         origins = paper_origins(fixed, jax.lax.stop_gradient(of_steps[1]), exponent, solver, key)
-    compare_entries = thresholds is None
-    searched = used.at_scales(scales) if scales and not compare_entries else used
+    compare = thresholds is None
+    searched = used.at_scales(scales) if scales and not compare else used
     solved = solve_windows(
-        fixed.features,
-        fixed.moments,
-        searched,
-        whole,
-        fixed.noise,
-        fixed.box,
-        origins,
-        assume,
-        compare_entries,
+        fixed.features, fixed.moments, searched, whole, fixed.noise, fixed.box, origins, assume, compare
     )
     live = window.moments._replace(details=used.details)
+    of_steps = of_steps if steps_only else None
     assumed = assume is not None
-    return report_windows(
-        window,
-        live,
-        whole.scale_weight,
-        solved,
-        thresholds,
-        exponent,
-        of_steps if steps_only else None,
-        assumed,
-    )
+    return report_windows(window, live, whole.scale_weight, solved, thresholds, exponent, of_steps, assumed)

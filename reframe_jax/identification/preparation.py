@@ -71,9 +71,8 @@ def prepare_windows(
     still = jax.lax.stop_gradient((position, kinematics.turns_of(rotation)))
     if about_mean:  # poses without order give no estimate of the noise except the rounding error
         reach = jnp.max(jnp.where(counted, jnp.abs(still[0]), 0), axis=(0, 1))
-        noise = (
-            4 * float(jnp.finfo(poses.dtype).eps) * jnp.stack([reach, jnp.full_like(reach, np.pi)], axis=1)
-        )
+        rounding = 4 * float(jnp.finfo(poses.dtype).eps)
+        noise = rounding * jnp.stack([reach, jnp.full_like(reach, np.pi)], axis=1)
     else:
         noise = jnp.stack(estimate_noise(*still, counted, unit), axis=1)
     features = pose_features(rotation, position, steps, counted, count)

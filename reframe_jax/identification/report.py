@@ -8,11 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.constraints.types import (
-    ORIENTATION_BODIES,
-    POSITION_BODIES,
-    AngularType,
-)
+from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
 from reframe_jax.geometry.rotations import rotation_log
 from reframe_jax.geometry.small import diagonalize
 from reframe_jax.identification.cautions import Caution, caution_codes
@@ -156,7 +152,7 @@ def report_windows(
         types = jax.vmap(types_over_scales)(solved, live, step)
     of_window = partial(_report_window, thresholds=thresholds, single_steps=single_steps, assumed=assumed)
     found = jax.vmap(of_window)(window, live, scale_weight, solved, types, step)
-    return _with_status(found, window, thresholds)
+    return _with_status(found, window)
 
 
 def _report_window(
@@ -275,16 +271,8 @@ def _report_window(
             free_position=free_position,
         ),
         candidates=AllCandidates(
-            angular=Candidates(
-                rotvec=angular_rotvecs, dof=angular_all.dof, rms=angular_rms, norm=types.angular_norm
-            ),
-            linear=Candidates(
-                rotvec=linear_rotvecs,
-                dof=linear_dof_all,
-                rms=linear_rms_all,
-                norm=types.linear_norm,
-                position=positions,
-            ),
+            angular=Candidates(angular_rotvecs, angular_all.dof, angular_rms, types.angular_norm),
+            linear=Candidates(linear_rotvecs, linear_dof_all, linear_rms_all, types.linear_norm, positions),
         ),
         entry_code=code,
         entry_probability=winner.probability,
@@ -360,9 +348,7 @@ def _tied_types(
     return own | (of_types >= _RIVAL * of_types[kind]) | jnp.asarray(SAME_IN_ALL_TYPES)[winner.code]
 
 
-def _with_status(
-    found: tuple[Identification, Array, Array], window: Prepared, thresholds: Thresholds | None
-) -> Identification:
+def _with_status(found: tuple[Identification, Array, Array], window: Prepared) -> Identification:
     """Set the status of the windows, and set the numbers of failed windows to NaN or zero."""
     result, at_bound, codes = found
     still = jnp.sum(result.angular.dof, axis=-1) + jnp.sum(result.linear.dof, axis=-1) == 0

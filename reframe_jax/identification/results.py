@@ -104,12 +104,10 @@ class Identification:
         The name of a failed window is "No result: " and the message of its status.
         """
         codes, statuses = np.asarray(self.entry_code), np.asarray(self.status_code)
-        if codes.ndim:
-            every = zip(codes.ravel().tolist(), statuses.ravel().tolist(), strict=True)
-            names = np.empty(codes.size, object)
-            names[:] = [self._name(i, *pair) for i, pair in enumerate(every)]
-            return names.reshape(codes.shape)
-        return self._name(0, int(codes), int(statuses))
+        every = zip(codes.ravel().tolist(), statuses.ravel().tolist(), strict=True)
+        names = np.empty(codes.size, object)
+        names[:] = [self._name(i, *pair) for i, pair in enumerate(every)]
+        return names.reshape(codes.shape)[()]  # the name itself for a single window
 
     def _name(self, place: int, code: int, status: int) -> str:
         if Status(status).failed:

@@ -7,7 +7,4 @@ registered with ``pyplot``: display the figure in a notebook, or call ``figure.s
 from reframe_jax.plotting.identification import plot_identification
 from reframe_jax.plotting.segmentation import plot_segmentation
 
-__all__ = [
-    "plot_identification",
-    "plot_segmentation",
-]
+__all__ = ["plot_identification", "plot_segmentation"]

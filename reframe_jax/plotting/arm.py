@@ -48,10 +48,8 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
     for i in np.flatnonzero(free):
         # a common scale for rotations and translations: 1 rad moves a point at 0.1 m by 0.1 m
         factor, kind, unit, style = (1, "turn", "rad", "-") if i < 3 else (10, "shift", "0.1 m", "--")
-        label = f"{kind} {'xyz'[i % 3]} [{unit}]"
-        motion.plot(
-            made.times, factor * made.slip[:, i], style, color=FREE[i % 3], linewidth=1.2, label=label
-        )
+        label, series = f"{kind} {'xyz'[i % 3]} [{unit}]", factor * made.slip[:, i]
+        motion.plot(made.times, series, style, color=FREE[i % 3], linewidth=1.2, label=label)
     motion.set_ylabel("free motion\n[rad, 0.1 m]", fontsize=FONT)
     for axes, part, unit, name in (
         (moments, slice(0, 3), "N m", "moment"),

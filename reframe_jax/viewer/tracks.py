@@ -64,11 +64,7 @@ class WindowTrack:
 
 
 def track_window(
-    poses: ArrayLike,
-    times: ArrayLike,
-    found: Identification,
-    *,
-    covariance: ArrayLike | None = None,
+    poses: ArrayLike, times: ArrayLike, found: Identification, *, covariance: ArrayLike | None = None
 ) -> WindowTrack:
     """Compute the data of the page for a window.
 

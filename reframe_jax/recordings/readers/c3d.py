@@ -113,9 +113,7 @@ def extract(path: str, out: str) -> None:
 
 def _labels(group: Mapping[str, Any]) -> list[str]:
     """Return the labels of a group; each parameter LABELS, LABELS2, ... contains up to 255."""
-    names = sorted(
-        (name for name in group if re.fullmatch(r"LABELS\d*", name)), key=lambda name: name[6:].zfill(9)
-    )
+    names = sorted(filter(re.compile(r"LABELS\d*").fullmatch, group), key=lambda name: name[6:].zfill(9))
     return [label.strip() for name in names for label in group[name]["value"]]
 
 

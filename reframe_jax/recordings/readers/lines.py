@@ -197,17 +197,12 @@ def collect(
                     origin = decimal.Decimal(0) if abs(seconds) < EPOCH else exact
                 seconds = float(_EXACT.subtract(exact, origin)) if origin else seconds
             times.append(seconds)
-    numbers = np.asarray(values).reshape(-1, len(every))
-    return Rows(
-        path,
-        "line",
-        np.asarray(where),
-        numbers[:, : len(columns)],
-        None if time is None else np.asarray(times),
-        str(origin) if origin else None,
-        wrenches=numbers[:, len(columns) :] if wrench else None,
-        seconds=1.0 if isinstance(time, tuple) else None,
-    )
+    poses, wrenches = np.hsplit(np.asarray(values).reshape(-1, len(every)), [len(columns)])
+    rows = Rows(path, "line", np.asarray(where), poses, None if time is None else np.asarray(times))
+    rows.origin = str(origin) if origin else None
+    rows.wrenches = wrenches if wrench else None
+    rows.seconds = 1.0 if isinstance(time, tuple) else None
+    return rows
 
 
 def _number(path: Path, number: int, cell: str) -> float:

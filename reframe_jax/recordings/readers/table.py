@@ -112,14 +112,9 @@ def read_table(path: Path, wanted: Selection) -> Rows:
     frame = header.find(_FRAMES) if time is None else None
     if frame is not None and not "".join(first[frame : frame + 1]).isdecimal():
         frame = None  # a name
-    rows = collect(
-        path,
-        chain([(number, first)] if first else [], lines),
-        len(titles),
-        [*position, *orientation],
-        time if frame is None else frame,
-        _find_wrench(header),
-    )
+    lines = chain([(number, first)] if first else [], lines)
+    counted = time if frame is None else frame
+    rows = collect(path, lines, len(titles), [*position, *orientation], counted, _find_wrench(header))
     rows.no_times = (
         f"name their column t, or time [ms] in another unit (columns: {listed(titles, 10)}), or give the "
         "sample time, dt (--dt)"

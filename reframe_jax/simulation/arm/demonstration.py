@@ -300,12 +300,7 @@ def sampling(duration: float, dt: float) -> Steps:
 
 
 def scatter(
-    frame: ConstraintFrame,
-    key: jax.Array,
-    numbers: jax.Array,
-    joints: jax.Array,
-    spread: tuple[float, float],
-    arm: Arm,
+    frame: ConstraintFrame, key: jax.Array, numbers: jax.Array, joints: jax.Array, spread: ArrayLike, arm: Arm
 ) -> ConstraintFrame:
     """Give each demonstration a geometry (N, 3), with randomly turned axes and a randomly shifted origin.
 

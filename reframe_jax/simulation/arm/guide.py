@@ -71,10 +71,8 @@ def _most_even_phases(draws: jax.Array, rates: jax.Array, free: jax.Array) -> ja
     """Choose the phases, out of draws (n, 2, 3, 2), whose direction of least motion moves most."""
     # with equal phases along two free axes, a direction between them would be at rest and seem constrained
     t = jnp.linspace(0, _EVEN_OVER, 64, dtype=draws.dtype)
-    velocity = jnp.sum(
-        jnp.cos(rates[None, ..., None] * t[None, None, None, None] + draws[..., None]), axis=-2
-    )
-    velocity = velocity * free[None, :, :, None]
+    angles = rates[None, ..., None] * t[None, None, None, None] + draws[..., None]
+    velocity = jnp.sum(jnp.cos(angles), axis=-2) * free[None, :, :, None]
     covariance = jnp.mean(velocity[:, :, :, None] * velocity[:, :, None], axis=-1)
     still = (1 - free)[:, :, None] * jnp.eye(3, dtype=free.dtype)[None]  # constrained axes do not count
     slowest = jnp.linalg.eigvalsh(covariance + still[None])[..., 0]

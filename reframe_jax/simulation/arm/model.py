@@ -205,13 +205,7 @@ def _allow_mixing() -> Iterator[None]:
 
 
 def arm_motion(joints: jax.Array, velocity: jax.Array, arm: Arm = PANDA) -> Motion:
-    """Compute the kinematics and the dynamics of the arm in one state.
-
-    Args:
-        joints: (7,) rad.
-        velocity: (7,) rad/s.
-        arm: the robot.
-    """
+    """Compute kinematics and dynamics of the arm at joint positions (7,), rad, and velocities (7,), rad/s."""
     dtype = joints.dtype
 
     def cast(leaf: Any) -> jax.Array:

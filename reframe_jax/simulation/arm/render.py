@@ -155,8 +155,7 @@ def _bar(
     if scene.ngeom >= scene.maxgeom:
         return
     geom = scene.geoms[scene.ngeom]
-    mujoco.mjv_initGeom(
-        geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), np.asarray(colour, dtype=np.float32)
-    )
+    rgba = np.asarray(colour, dtype=np.float32)
+    mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), rgba)
     mujoco.mjv_connector(geom, kind, radius, np.asarray(start, float), np.asarray(end, float))
     scene.ngeom += 1

@@ -116,15 +116,14 @@ def compare(
     made, exact = (replace(part, times=jnp.asarray(times)) for part in (made, exact))
     found = identify(made.poses, times=made.times, scales=1, thresholds=Thresholds())
     errors = metrics.geometry_errors(found, made.truth, start=made.exact_poses[:, 0])
+    columns = jnp.degrees(errors.angular), jnp.degrees(errors.linear), 1e3 * errors.position
     return Comparison(
         demonstrations=made,
         found=found,
         exact=exact,
         identified=run(made.truth, matched_choices(found, made.truth, **robot)),
         redrawn=jnp.asarray(drawn - trials),
-        errors=jnp.stack(
-            [jnp.degrees(errors.angular), jnp.degrees(errors.linear), 1e3 * errors.position], axis=-1
-        ),
+        errors=jnp.stack(columns, axis=-1),
     )
 
 

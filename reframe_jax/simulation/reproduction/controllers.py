@@ -50,12 +50,9 @@ def constant_wrench(moment: float = 3.5, force: float = 7.0) -> Controller:
 
 
 def hybrid(speed: Pair = (0.3, 0.08)) -> Controller:
-    """Return a hybrid controller.
+    """Return a hybrid controller, with a ``speed`` in rad/s along free rotations, m/s along translations.
 
-    It commands a velocity along free axes, and zero force and torque along constrained axes.
-
-    Args:
-        speed: rad/s along free rotations and m/s along free translations.
+    It commands this velocity along free axes, and zero force and torque along constrained axes.
     """
     return Controller(speed=speed, damping=(5.0, 120.0))
 

@@ -148,13 +148,7 @@ def reproduce(
 
 @partial(jax.jit, static_argnames="arm")
 def _reproduce(
-    truth: Frame,
-    control: Frame,
-    controller: Controller,
-    compliance: jax.Array,
-    start: jax.Array,
-    *,
-    arm: Arm,
+    truth: Frame, control: Frame, controller: Controller, compliance: jax.Array, start: jax.Array, *, arm: Arm
 ) -> Trials:
     dtype, steps = start.dtype, sampling(_DURATION, _DT)
     pairs, step, pose = (_TRAVEL, _FRICTION, _STOP_COMPLIANCE), steps.length, forward_kinematics(start, arm)
