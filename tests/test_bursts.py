@@ -118,3 +118,10 @@ def test_short_windows_and_padding(poses):
     padded = shift(poses, RUNS["short"])
     padded[100:] = padded[99]
     assert list(np.flatnonzero(find(padded, np.int32(100)))) == RUNS["short"]
+
+
+def test_a_slow_tracker_that_repeats_its_poses_makes_no_run(poses):
+    """The path is a staircase; one step of it that is far off is still found."""
+    moving = np.repeat(poses[::3], 3, axis=0)
+    assert found_in(moving) == []
+    assert found_in(np.repeat(shift(poses[::3], [20]), 3, axis=0)) == [60, 61, 62]

@@ -25,7 +25,7 @@ __all__ = ["repair_poses"]
 Array = jax.Array
 _LONGEST = 12  # poses of a run, at most
 _AROUND = 6  # poses around a run: four for the cubic, and two that it has to predict
-_NOISES = 4.0  # smallest distance from the cubic, in medians of its noise: six standard deviations
+_NOISES = 6.0  # smallest distance from the cubic, in medians of its noise: nine standard deviations
 _AGREE = 3.0  # the same, in distances of the two other poses from the cubic
 _SUDDEN = 0.4  # smallest distance of the ends of a run from the cubic, over that of its middle
 _MOST = 0.3  # largest fraction of outliers; with more, no pose is an outlier
@@ -83,35 +83,35 @@ def repair_poses(
 def _measured(path: Array, noise: Array, count: Array) -> Array:
     """Return which poses and times (10, P, N) are no outliers, (P, N) bool; runs are removed one by one."""
     here = jnp.arange(path.shape[1], dtype=jnp.int32)[:, None]
+    rows = jnp.broadcast_to(here, path.shape[1:]).astype(path.dtype)
 
     def search(carry: tuple[Array, ...]) -> tuple[Array, ...]:
-        number, failures, path, order, left = carry
+        number, failures, path, left = carry
         starts = _runs(path, noise, left, number)
         found = here - lax.cummax(jnp.where(starts, here, -_LONGEST), axis=0) < number
 
         def remove(_: None) -> tuple[Array, ...]:
             # the found poses move to the end
             kept = jnp.argsort(found, axis=0, stable=True).astype(jnp.int32)
-            fewer = left - jnp.sum(found, axis=0, dtype=left.dtype)
-            return jnp.int32(0), pick(path, kept, 1), pick(order, kept, 0), fewer
+            return jnp.int32(0), pick(path, kept, 1), left - jnp.sum(found, axis=0, dtype=left.dtype)
 
-        kept = failures + 1, path, order, left
+        kept = failures + 1, path, left
         return number % _LONGEST + 1, *lax.cond(jnp.any(found), remove, lambda _: kept, None)
 
     # all lengths are tried in turn, until none of them finds a run
-    start: tuple[Array, ...] = jnp.int32(1), jnp.int32(0), path, jnp.broadcast_to(here, path.shape[1:]), count
-    *_, path, order, left = lax.while_loop(lambda carry: carry[1] < _LONGEST, search, start)
+    start: tuple[Array, ...] = jnp.int32(1), jnp.int32(0), jnp.concatenate([path, rows[None]]), count
+    *_, path, left = lax.while_loop(lambda carry: carry[1] < _LONGEST, search, start)
     kept = (here < left) & ~_ends(path, noise, left)
-    return pick(kept, jnp.argsort(order, axis=0), 0)
+    return pick(kept, jnp.argsort(path[10], axis=0), 0)
 
 
 def _runs(path: Array, noise: Array, count: Array, number: Array) -> Array:
-    """Return at which poses and times (10, P, N) a run of ``number`` outliers starts, (P, N) bool."""
+    """Return at which poses of a path (11, P, N) a run of ``number`` outliers starts, (P, N) bool."""
     start = jnp.arange(path.shape[1], dtype=jnp.int32)[:, None]
     padded = jnp.pad(path, ((0, 0), (3, _LONGEST + 3), (0, 0)))
 
     def at(*offsets: int | Array) -> Array:
-        """Return the poses (10, M, P, N) at offsets from the start of the run."""
+        """Return the path (11, M, P, N) at offsets from the start of the run."""
         parts = [lax.dynamic_slice_in_dim(padded, 3 + offset, len(start), 1) for offset in offsets]
         return jnp.stack(parts, axis=1)
 
@@ -122,11 +122,11 @@ def _runs(path: Array, noise: Array, count: Array, number: Array) -> Array:
 
 
 def _ends(path: Array, noise: Array, count: Array) -> Array:
-    """Return which of the two poses at either end of poses and times (10, P, N) are outliers, (P, N) bool."""
+    """Return which of the two poses at either end of a path (11, P, N) are outliers, (P, N) bool."""
     here = jnp.arange(path.shape[1], dtype=jnp.int32)[:, None]
     inward = jnp.arange(_AROUND + 1, dtype=jnp.int32)[:, None]
     places = jnp.concatenate([inward + 0 * count, jnp.maximum(count - 1 - inward, 0)])
-    near = pick(path, places, 1).reshape(10, 2, _AROUND + 1, -1)  # poses from either end inward
+    near = pick(path, places, 1).reshape(len(path), 2, _AROUND + 1, -1)  # poses from either end inward
     around = jnp.stack([near[:, :, 1:], near[:, :, np.array([0, 2, 3, 4, 5, 6])]], axis=2)
     run, known = near[:, None, :, :2], jnp.ones((2, 1, 1, 1), bool)
     apart = _are_apart(jnp.moveaxis(around, 3, 1), known, run, noise).reshape(4, -1)
@@ -138,9 +138,9 @@ def _are_apart(around: Array, known: Array, run: Array, noise: Array) -> Array:
     """Return whether poses disagree with those around them, (...) bool.
 
     Args:
-        around: (10, 6, ...) poses and times around the run: four for the cubic, and two to test it.
+        around: (11, 6, ...) poses, times and rows around the run: four for the cubic, and two to test it.
         known: (2, ...) bool, whether the last two exist.
-        run: (10, M, ...) first, middle and last pose of the run; or its only pose.
+        run: (11, M, ...) first, middle and last pose of the run; or its only pose.
         noise: (2, N) size of the noise of positions and rotations.
     """
     nodes, tested = around[:, :4], jnp.concatenate([around[:, 4:], run], axis=1)
@@ -150,12 +150,15 @@ def _are_apart(around: Array, known: Array, run: Array, noise: Array) -> Array:
     away = tested[9, :, None] - nodes[9]
     weights = jnp.prod(away, axis=1)[:, None] / jnp.where(away == 0, 1, away * gaps)
     predicted = total(weights * nodes[:9, None], 2)
-    gain = 1 + total(jnp.square(weights), 1)
+    gain = 1 + total(weights * weights, 1)
     distance = _lengths(tested[:9] - predicted)  # (2, 2 + M, ...)
     others, first, middle, last = distance[:, :2], *(distance[:, i] for i in (2, 2 + len(run[0]) // 2, -1))
     ends = jnp.minimum(first, last)
     noise = noise.reshape(2, *[1] * (ends.ndim - 2), -1) * jnp.sqrt(jnp.maximum(gain[2], gain[-1]))
-    agree = _AGREE * jnp.max(jnp.where(known, others, 0), axis=1)
+    agree = _AGREE * jnp.max(known * others, axis=1)
+    # a slow tracker repeats its poses: then, a step of the path is no jump
+    repeats = jnp.any(jnp.all(nodes[:9, ::2] == nodes[:9, 1::2], axis=0), axis=0)
+    agree = jnp.maximum(agree, repeats * _lengths(nodes[:9, 2] - nodes[:9, 1]))
     return jnp.any((ends > _NOISES * noise) & (ends > agree) & (ends > _SUDDEN * middle), axis=0)
 
 
