@@ -3,9 +3,10 @@
 A run of up to twelve poses is an outlier if the poses around it agree with each other, but not with the run:
 the cubic through the two poses before it and the two after it predicts the next pose on either side much
 better than the first and the last pose of the run. In a short fast motion between two rests, the ends of the
-run are close to the cubic, and its middle is not: such a run is no outlier. The search removes short runs
-first, and starts again after each removal. A body that jumps and stays has no poses after the jump that agree
-with those before it. Of the two poses at either end, one alone can be an outlier.
+run are close to the cubic, and its middle is not: such a run is no outlier. The search tries the lengths of
+runs in turn, the shortest first, and removes what it finds, until no length finds a run. A body that jumps
+and stays has no poses after the jump that agree with those before it. Of the two poses at either end, one
+alone can be an outlier.
 
 An outlier does not enter the moments. Between the poses beside it, the twist is constant.
 Arrays have components first, then samples, and windows last.
@@ -83,35 +84,36 @@ def repair_poses(
 def _measured(path: Array, noise: Array, count: Array) -> Array:
     """Return which poses and times (10, P, N) are no outliers, (P, N) bool; runs are removed one by one."""
     here = jnp.arange(path.shape[1], dtype=jnp.int32)[:, None]
-    rows = jnp.broadcast_to(here, path.shape[1:]).astype(path.dtype)
 
     def search(carry: tuple[Array, ...]) -> tuple[Array, ...]:
-        number, failures, path, left = carry
+        number, failures, path, order, left = carry
         starts = _runs(path, noise, left, number)
         found = here - lax.cummax(jnp.where(starts, here, -_LONGEST), axis=0) < number
 
         def remove(_: None) -> tuple[Array, ...]:
             # the found poses move to the end
             kept = jnp.argsort(found, axis=0, stable=True).astype(jnp.int32)
-            return jnp.int32(0), pick(path, kept, 1), left - jnp.sum(found, axis=0, dtype=left.dtype)
+            fewer = left - jnp.sum(found, axis=0, dtype=left.dtype)
+            return jnp.int32(0), pick(path, kept, 1), pick(order, kept, 0), fewer
 
-        kept = failures + 1, path, left
-        return number % _LONGEST + 1, *lax.cond(jnp.any(found), remove, lambda _: kept, None)
+        same = failures + 1, path, order, left
+        return number % _LONGEST + 1, *lax.cond(jnp.any(found), remove, lambda _: same, None)
 
     # all lengths are tried in turn, until none of them finds a run
-    start: tuple[Array, ...] = jnp.int32(1), jnp.int32(0), jnp.concatenate([path, rows[None]]), count
-    *_, path, left = lax.while_loop(lambda carry: carry[1] < _LONGEST, search, start)
+    order = jnp.broadcast_to(here, path.shape[1:])
+    start: tuple[Array, ...] = jnp.int32(1), jnp.int32(0), path, order, count
+    *_, path, order, left = lax.while_loop(lambda carry: carry[1] < _LONGEST, search, start)
     kept = (here < left) & ~_ends(path, noise, left)
-    return pick(kept, jnp.argsort(path[10], axis=0), 0)
+    return pick(kept, jnp.argsort(order, axis=0), 0)
 
 
 def _runs(path: Array, noise: Array, count: Array, number: Array) -> Array:
-    """Return at which poses of a path (11, P, N) a run of ``number`` outliers starts, (P, N) bool."""
+    """Return at which poses and times (10, P, N) a run of ``number`` outliers starts, (P, N) bool."""
     start = jnp.arange(path.shape[1], dtype=jnp.int32)[:, None]
     padded = jnp.pad(path, ((0, 0), (3, _LONGEST + 3), (0, 0)))
 
     def at(*offsets: int | Array) -> Array:
-        """Return the path (11, M, P, N) at offsets from the start of the run."""
+        """Return the path (10, M, P, N) at offsets from the start of the run."""
         parts = [lax.dynamic_slice_in_dim(padded, 3 + offset, len(start), 1) for offset in offsets]
         return jnp.stack(parts, axis=1)
 
@@ -122,11 +124,11 @@ def _runs(path: Array, noise: Array, count: Array, number: Array) -> Array:
 
 
 def _ends(path: Array, noise: Array, count: Array) -> Array:
-    """Return which of the two poses at either end of a path (11, P, N) are outliers, (P, N) bool."""
+    """Return which of the two poses at either end of poses and times (10, P, N) are outliers, (P, N) bool."""
     here = jnp.arange(path.shape[1], dtype=jnp.int32)[:, None]
     inward = jnp.arange(_AROUND + 1, dtype=jnp.int32)[:, None]
     places = jnp.concatenate([inward + 0 * count, jnp.maximum(count - 1 - inward, 0)])
-    near = pick(path, places, 1).reshape(len(path), 2, _AROUND + 1, -1)  # poses from either end inward
+    near = pick(path, places, 1).reshape(10, 2, _AROUND + 1, -1)  # poses from either end inward
     around = jnp.stack([near[:, :, 1:], near[:, :, np.array([0, 2, 3, 4, 5, 6])]], axis=2)
     run, known = near[:, None, :, :2], jnp.ones((2, 1, 1, 1), bool)
     apart = _are_apart(jnp.moveaxis(around, 3, 1), known, run, noise).reshape(4, -1)
@@ -138,9 +140,9 @@ def _are_apart(around: Array, known: Array, run: Array, noise: Array) -> Array:
     """Return whether poses disagree with those around them, (...) bool.
 
     Args:
-        around: (11, 6, ...) poses, times and rows around the run: four for the cubic, and two to test it.
+        around: (10, 6, ...) poses and times around the run: four for the cubic, and two to test it.
         known: (2, ...) bool, whether the last two exist.
-        run: (11, M, ...) first, middle and last pose of the run; or its only pose.
+        run: (10, M, ...) first, middle and last pose of the run; or its only pose.
         noise: (2, N) size of the noise of positions and rotations.
     """
     nodes, tested = around[:, :4], jnp.concatenate([around[:, 4:], run], axis=1)

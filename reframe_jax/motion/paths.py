@@ -16,7 +16,7 @@ from reframe_jax.geometry.small import axial, cross, materialize, pick, times, t
 Array = jax.Array
 _STENCIL = 7  # samples in the derivative of the twist
 _EVEN = 5  # longest over shortest step, above which derivatives across them amplify noise
-_GAP = 5, 0.9  # a step that takes five times as long as nine in ten of all steps is a gap
+_USUAL = 0.9  # fraction of the steps that are no gaps; a gap is _EVEN times longer than the longest of them
 
 
 def _logarithm(turn: Array) -> tuple[Array, Array]:
@@ -92,8 +92,7 @@ def mean_twists(rotation: Array, position: Array, steps: Array, count: Array | N
     h = steps.T
     twist = step_twists(rotation, position) / h
     weights = _derivative_weights(steps, None if count is None else count - 1)
-    even = jnp.max(steps, axis=1) <= _EVEN * jnp.min(steps, axis=1)
-    return twist - jnp.where(even, _brackets(twist, weights, h), 0)
+    return twist - jnp.where(_are_even(steps), _brackets(twist, weights, h), 0)
 
 
 def twist_paths(rotation: Array, position: Array, steps: Array, count: Array | None) -> tuple[Array, Array]:
@@ -120,15 +119,18 @@ def sections_of(steps: Array) -> Array:
     """
 
     def count(_: None) -> Array:
-        times, fraction = _GAP
-        at = int(fraction * steps.shape[1])
-        usual = jnp.sort(steps, axis=1)[:, at : at + 1]
-        gaps = steps > times * usual
+        at = int(_USUAL * steps.shape[1])
+        gaps = steps > _EVEN * jnp.sort(steps, axis=1)[:, at : at + 1]
         return jnp.cumsum(gaps, axis=1, dtype=jnp.int32)
 
-    uneven = jnp.any(jnp.max(steps, axis=1) > _GAP[0] * jnp.min(steps, axis=1))
-    after = jax.lax.cond(uneven, count, lambda _: jnp.zeros(steps.shape, jnp.int32), None)
+    even = jnp.all(_are_even(steps))  # then, there is no gap
+    after = jax.lax.cond(even, lambda _: jnp.zeros(steps.shape, jnp.int32), count, None)
     return jnp.pad(after, ((0, 0), (1, 0)))
+
+
+def _are_even(steps: Array) -> Array:
+    """Return whether the steps (N, K) of a window have similar durations, (N,) bool."""
+    return jnp.max(steps, axis=1) <= _EVEN * jnp.min(steps, axis=1)
 
 
 def bracket(a: Array, b: Array) -> Array:
