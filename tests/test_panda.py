@@ -123,6 +123,7 @@ def test_identified_at_encoder_grade(label: str) -> None:
     assert 1e-7 < np.abs(made.poses - made.exact_poses).max() < 1e-3
     # all of them, for the sake of one compiled shape
     found = rf.identify(made.poses, times=made.times)
+    assert np.all(found.counted)  # the arm moves fast, but does not jump
     start = jnp.asarray(made.exact_poses[:, 0])
     errors = metrics.geometry_errors(found, made.truth, start=start)
     assert np.all(metrics.types_correct(found, made.truth, ties=True)[good])

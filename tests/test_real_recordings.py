@@ -54,6 +54,11 @@ def test_doors_turn_about_the_axis_of_their_circle(number: int) -> None:
     assert np.linalg.norm(np.cross(normal, offset)) < 0.015
 
 
+@pytest.mark.parametrize("name", ["pouring", "grating_0", "wiping_1"])
+def test_hands_that_move_fast_do_not_jump(name: str) -> None:
+    assert np.all(identify(name)[1].counted)
+
+
 def test_error_bars_of_half_a_recording_hold_the_other_half() -> None:
     """Slow errors are part of them: otherwise none of these would."""
     scores = []

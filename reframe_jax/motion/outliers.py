@@ -2,15 +2,17 @@
 
 A run of up to twelve poses is an outlier if the poses around it agree with each other, but not with the run:
 the cubic through the two poses before it and the two after it predicts the next pose on either side much
-better than the first and the last pose of the run. In a short fast motion between two rests, the ends of the
-run are close to the cubic, and its middle is not: such a run is no outlier. The search tries the lengths of
-runs in turn, the shortest first, and removes what it finds, until no length finds a run. A body that jumps
-and stays has no poses after the jump that agree with those before it. Of the two poses at either end, one
-alone can be an outlier.
+better than the first and the last pose of the run. The path jumps at both ends of the run. In a short fast
+motion, the path leaves the cubic gradually: the ends of the run are closer to the cubic than its middle, and
+there is no jump. The search tries the lengths of runs in turn, the shortest first, and removes what it finds,
+until no length finds a run. A body that jumps and stays has no poses after the jump that agree with those
+before it. Of the two poses at either end, one alone can be an outlier.
 
 An outlier does not enter the moments. Between the poses beside it, the twist is constant.
 Arrays have components first, then samples, and windows last.
 """
+
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +31,9 @@ _AROUND = 6  # poses around a run: four for the cubic, and two that it has to pr
 _NOISES = 4.0  # smallest distance from the cubic, in medians of its noise: six standard deviations
 _AGREE = 3.0  # the same, in distances of the two other poses from the cubic
 _SUDDEN = 0.4  # smallest distance of the ends of a run from the cubic, over that of its middle
+_JUMP = 0.12  # fourth difference across either end of a run over the distance; at least 0.24 for a jump
+_FOURTH = np.array([1, -4, 6, -4, 1]) / 70**0.5  # fourth difference, with the size of white noise
+_ACROSS = np.array([[0, 1, 6, 9, 10], [3, 2, 8, 11, 12]])  # poses around and in a run, across either end
 _MOST = 0.3  # largest fraction of outliers; with more, no pose is an outlier
 
 
@@ -55,7 +60,7 @@ def repair_poses(
     # the size of a jump is not a unit of rounding: rounded positions also have steps of one unit
     step = jnp.abs(jnp.diff(measured[:3], axis=1))
     unit = jnp.minimum(unit, jnp.min(jnp.where((step > 0) & own[1:], step, jnp.inf), axis=(0, 1)))
-    size = _lengths(jnp.diff(measured, n=4, axis=1)) / 70**0.5  # fourth differences, with the size of noise
+    size = _lengths(jnp.diff(measured, n=4, axis=1)) / 70**0.5
     whole = jnp.broadcast_to(own[4:, None], (len(own) - 4, 2, own.shape[1]))
     noise = masked_median(jnp.swapaxes(size, 0, 1), whole)
     jumps = jnp.any(own[4:] & (size > _NOISES * noise[:, None]), axis=(0, 1))
@@ -114,12 +119,14 @@ def _runs(path: Array, noise: Array, count: Array, number: Array) -> Array:
 
     def at(*offsets: int | Array) -> Array:
         """Return the path (10, M, P, N) at offsets from the start of the run."""
-        parts = [lax.dynamic_slice_in_dim(padded, 3 + offset, len(start), 1) for offset in offsets]
-        return jnp.stack(parts, axis=1)
+        cut = partial(lax.dynamic_slice_in_dim, padded, axis=1, allow_negative_indices=False)
+        return jnp.stack([cut(start_index=3 + offset, slice_size=len(start)) for offset in offsets], axis=1)
 
-    around = at(-2, -1, number, number + 1, -3, number + 2)
+    around = -2, -1, number, number + 1, -3, number + 2
+    near = at(*around, 0, number // 2, number - 1, 1, 2, number - 2, number - 3)
+    bend = jnp.min(_lengths(jnp.tensordot(_FOURTH, near[:9, _ACROSS], (0, 2))), axis=1)
     known = jnp.stack(jnp.broadcast_arrays(start >= 3, start + number + 3 <= count))
-    apart = _are_apart(around, known, at(0, number // 2, number - 1), noise)
+    apart = _are_apart(near[:, :6], known, near[:, 6:9], bend, noise)
     return apart & (start >= 2) & (start + number + 2 <= count)
 
 
@@ -131,18 +138,19 @@ def _ends(path: Array, noise: Array, count: Array) -> Array:
     near = pick(path, places, 1).reshape(10, 2, _AROUND + 1, -1)  # poses from either end inward
     around = jnp.stack([near[:, :, 1:], near[:, :, np.array([0, 2, 3, 4, 5, 6])]], axis=2)
     run, known = near[:, None, :, :2], jnp.ones((2, 1, 1, 1), bool)
-    apart = _are_apart(jnp.moveaxis(around, 3, 1), known, run, noise).reshape(4, -1)
+    apart = _are_apart(jnp.moveaxis(around, 3, 1), known, run, jnp.inf, noise).reshape(4, -1)
     ends = places.reshape(2, _AROUND + 1, -1)[:, :2].reshape(4, -1)
     return jnp.any(apart[:, None] & (here == ends[:, None]), axis=0) & (count > _AROUND)
 
 
-def _are_apart(around: Array, known: Array, run: Array, noise: Array) -> Array:
+def _are_apart(around: Array, known: Array, run: Array, bend: Array | float, noise: Array) -> Array:
     """Return whether poses disagree with those around them, (...) bool.
 
     Args:
         around: (10, 6, ...) poses and times around the run: four for the cubic, and two to test it.
         known: (2, ...) bool, whether the last two exist.
         run: (10, M, ...) first, middle and last pose of the run; or its only pose.
+        bend: (2, ...) fourth difference across the ends of the run, the smaller of the two.
         noise: (2, N) size of the noise of positions and rotations.
     """
     nodes, tested = around[:, :4], jnp.concatenate([around[:, 4:], run], axis=1)
@@ -156,12 +164,14 @@ def _are_apart(around: Array, known: Array, run: Array, noise: Array) -> Array:
     distance = _lengths(tested[:9] - predicted)  # (2, 2 + M, ...)
     others, first, middle, last = distance[:, :2], *(distance[:, i] for i in (2, 2 + len(run[0]) // 2, -1))
     ends = jnp.minimum(first, last)
-    noise = noise.reshape(2, *[1] * (ends.ndim - 2), -1) * jnp.sqrt(jnp.maximum(gain[2], gain[-1]))
+    noise = _NOISES * noise.reshape(2, *[1] * (ends.ndim - 2), -1)
+    limit = noise * jnp.sqrt(jnp.max(gain[2:], axis=0))
     agree = _AGREE * jnp.max(known * others, axis=1)
     # a slow tracker repeats its poses: then, a step of the path is no jump
     repeats = jnp.any(jnp.all(nodes[:9, ::2] == nodes[:9, 1::2], axis=0), axis=0)
     agree = jnp.maximum(agree, repeats * _lengths(nodes[:9, 2] - nodes[:9, 1]))
-    return jnp.any((ends > _NOISES * noise) & (ends > agree) & (ends > _SUDDEN * middle), axis=0)
+    apart = (ends > limit) & (ends > agree) & (ends > _SUDDEN * middle)
+    return jnp.any(apart & (bend > noise) & (bend > _JUMP * ends), axis=0)
 
 
 def _lengths(x: Array) -> Array:
