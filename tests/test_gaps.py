@@ -35,7 +35,8 @@ def test_a_constant_in_each_section_changes_no_moment(rng: np.random.Generator) 
     np.testing.assert_array_equal(second.details, first.details)
     whole = scale_moments(jnp.asarray(values), jnp.asarray(counted), None)
     np.testing.assert_allclose(first.products[1], whole.products[1], atol=1e-12)
-    assert np.all(first.details[0, 1:] < whole.details[0, 1:])
+    assert np.all(first.details[0, 1:-1] < whole.details[0, 1:-1])
+    assert first.details[0, -1] <= whole.details[0, -1]
 
 
 @pytest.mark.parametrize("label", "EFGH")
@@ -48,3 +49,27 @@ def test_constraints_of_velocities_are_found_across_a_gap(label: str) -> None:
     assert np.all(found.counted)
     spread = rf.covariance(found, case.poses, times=case.times)
     assert np.all(np.isfinite(spread.matrix))
+
+
+def test_short_sections_have_short_scales(rng: np.random.Generator) -> None:
+    """Blocks are shorter than sections, so that displacements within sections remain."""
+    values = np.cumsum(rng.normal(size=(1, 27, POSES)), axis=2)
+    section = np.arange(POSES)[None] // 10
+    found = scale_moments(
+        jnp.asarray(values), jnp.ones((1, POSES), bool), None, jnp.asarray(section, jnp.int32)
+    )
+    part = scale_moments(jnp.asarray(values[:, :, :10]), jnp.ones((1, 10), bool), None)
+    used = found.details[0] > 0
+    np.testing.assert_array_equal(found.width[0, used], part.width[0, part.details[0] > 0])
+    whole = scale_moments(jnp.asarray(values), jnp.ones((1, POSES), bool), None)
+    assert found.details[0, -1] <= whole.details[0, -1]
+
+
+def test_many_gaps_leave_a_clear_screw() -> None:
+    specs = [s for s in golden_cases.faults_specs() if (s.label, s.fault, s.white) == ("screw", "gap", 1e-4)]
+    for seed in range(40, 43):
+        (case,) = golden_cases.simulate([specs[0]._replace(fault="", seed=seed)])
+        kept = np.arange(len(case.poses)) % 25 < 18
+        found = rf.identify(case.poses[kept], times=case.times[kept])
+        assert found.name in case.expected
+        assert found.probability > 0.9

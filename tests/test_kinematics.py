@@ -256,6 +256,9 @@ def sample_times(steps, kind):
     x = np.linspace(0, 1, steps + 1)
     if kind == "drifting":
         x = x + 0.08 * np.sin(2 * np.pi * x)
+    if kind == "bursts":  # four samples in a row, then a step six times as long
+        x = np.cumsum(np.where(np.arange(steps + 1) % 5 == 4, 6, 1))
+        x = (x - x[0]) / (x[-1] - x[0])
     if kind == "jittering":
         x[1:-1] += np.random.default_rng(3).uniform(-0.3, 0.3, steps - 1) / steps
     return 4 * x
@@ -275,6 +278,7 @@ class TestDiscretization:
             ("even", "chord", 6, 1e-10),
             ("drifting", "chord", 6, 1e-9),
             ("jittering", "chord", 3, 2e-7),
+            ("bursts", "chord", 3, 5e-6),
         ],
     )
     def test_residual_of_a_nonholonomic_motion(self, times, discretization, order, at_80):
@@ -320,10 +324,21 @@ class TestDiscretization:
         count = min(steps, paths._STENCIL)
         shape = rng.normal(size=count)
         values, expected = np.polyval(shape, middle), np.polyval(np.polyder(shape), middle)
-        weights = paths._derivative_weights(jnp.asarray(dt), None)
+        even = jnp.asarray([True, False])
+        weights = paths._derivative_weights(jnp.asarray(dt), even, None)
         assert weights.shape == (2 * count - 1, steps, 2)
-        found = paths._derivative(weights, jnp.broadcast_to(jnp.asarray(values.T), (2, 3, 2, steps, 2)))
-        np.testing.assert_allclose(found, np.broadcast_to(expected.T, found.shape), atol=2e-10)
+        found = paths._derivative(weights, jnp.broadcast_to(jnp.asarray(values.T), (3, 2, 2, steps, 2)))
+        np.testing.assert_allclose(found[..., 0], np.broadcast_to(expected[0], (3, 2, 2, steps)), atol=2e-10)
+
+    def test_derivatives_across_very_different_steps_use_few_nodes(self, rng):
+        dt = np.where(np.arange(20) % 4 == 3, 0.4, 0.05)[None]
+        middle = np.cumsum(dt, axis=-1) - dt / 2
+        weights = np.asarray(paths._derivative_weights(jnp.asarray(dt), jnp.asarray([False]), None))[..., 0]
+        found = paths._derivative(
+            jnp.asarray(weights[..., None]), jnp.broadcast_to(jnp.asarray(middle.T**2), (3, 2, 2, 20, 1))
+        )
+        np.testing.assert_allclose(found[..., 0], np.broadcast_to(2 * middle[0], (3, 2, 2, 20)), atol=1e-10)
+        assert np.all(np.sum(weights != 0, axis=0) <= 5)
 
 
 class TestSlidingWindows:

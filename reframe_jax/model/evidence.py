@@ -241,8 +241,8 @@ def compare(evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table)
     """
     first = jnp.arange(len(evidence)).reshape(-1, *[1] * (evidence.ndim - 1))
     best = first == jnp.argmax(evidence, axis=0)
-    independent = -largest(jnp.where(table.held, -jnp.inf, -amplitudes.independent))
-    independent = largest(jnp.where(best, independent, 0))
+    # the fewest values of a free coordinate of the best entry
+    independent = jnp.min(jnp.where(~table.held & best, amplitudes.independent, jnp.inf), axis=(0, 1))
     worth = jnp.minimum(jnp.where(jnp.isfinite(independent), independent, 1.0), C.worth)
     size = total(_raised(amplitudes.log_variance, table, best), 0)
     value = evidence - worth * (0.5 * size - amplitudes.consistency)
@@ -251,7 +251,7 @@ def compare(evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table)
     # entries without held coordinates describe the same motion in the coordinates of different types: all of
     # them get the lowest value
     nothing = ~jnp.any(table.held, axis=0) & jnp.isfinite(value)
-    value = jnp.where(nothing, -largest(jnp.where(nothing, -value, -jnp.inf)), value)
+    value = jnp.where(nothing, jnp.min(jnp.where(nothing, value, jnp.inf), axis=0), value)
     return value - jax.nn.logsumexp(value, axis=0)
 
 
@@ -261,10 +261,10 @@ def _raised(log_variance: Array, table: Table, best: Array) -> Array:
     The held coordinates of the entry ``best`` (E, ...) bool show how large the slow errors are.
     """
     shown = jnp.where(table.held & best, log_variance, -jnp.inf)
-    turns, shifts = (largest(largest(shown[rows])) for rows in (slice(0, 3), slice(3, 6)))
-    least = jnp.stack([turns] * 3 + [shifts] * 3) + 2 * log(C.repeatable_part)
+    most = jnp.max(shown.reshape(2, 3 * len(best), *best.shape[1:]), axis=1)  # of rotations, of translations
+    least = jnp.repeat(most, 3, axis=0) + 2 * log(C.repeatable_part)
     number = total(table.held.astype(log_variance.dtype), 0)
-    freer = table.pitch | (number < largest(jnp.where(best, number, 0)))
+    freer = table.pitch | (number < jnp.max(jnp.where(best, number, 0), axis=0))
     return jnp.where(freer, jnp.logaddexp(log_variance, least[:, None]), log_variance)
 
 

@@ -78,8 +78,14 @@ def scale_moments(
     spread = jnp.sum(jnp.square(total), axis=2) / jnp.maximum(used, 1)[:, None]
     floor = _ROUNDINGS * float(jnp.finfo(dtype).eps) * jax.lax.stop_gradient(spread) + _LEAST
     floor = floor[:, None] * jnp.eye(values.shape[1], dtype=dtype)
+    sections = jnp.ones_like(number)
+    if section is not None:
+        first, last = (jnp.where(counted, section, end) for end in (poses, 0))
+        sections += jnp.max(last, axis=1) - jnp.min(first, axis=1)
+    length = number // sections  # poses in a section
     products, details, widths = [], [], []
     block, full, width = total, weight, jnp.ones(len(values), dtype)  # of the smooth part
+    whole = width  # the width without gaps
     if about_mean:
         products, details, widths = [jnp.zeros_like(floor)], [jnp.zeros_like(used)], [width]
     h = 1
@@ -93,31 +99,30 @@ def scale_moments(
             if section is not None:
                 both *= (section[:, 2 * h - 1 :] == section[:, : 1 - 2 * h])[:, None]
             found = jnp.sum(both, axis=(1, 2))
-            fits = (2 * h * _PART < number) & (found >= _FEWEST)
+            fits = (2 * h * _PART < length) & (found >= _FEWEST)
             products.append(_mean_products((means[..., h:] - means[..., :-h]) * both, found))
             details.append(jnp.where(fits, found / (2 * h), 0))
             widths.append(jnp.full(len(values), h, dtype))
         if section is not None and h > 1:
             here *= (section[:, h - 1 :] == section[:, : 1 - h])[:, None]
-        # the largest block that fits, which is among the last three where there is padding
-        if h > 1 and (2 * h * _PART >= poses if count is None else 16 * h * _PART >= poses):
-            fits = ((h * _PART < number) & (2 * h * _PART >= number))[:, None, None]
+        # the largest block that fits, which is among the last three where there is only padding
+        if h > 1 and (section is not None or 16 * h * _PART >= poses):
+            fits = ((h * _PART < length) & (2 * h * _PART >= length))[:, None, None]
             block, full = (
                 jnp.where(fits, jnp.pad(new, ((0, 0), (0, 0), (0, h - 1))), old)
                 for new, old in ((means, block), (here, full))
             )
             width = jnp.where(fits[:, 0, 0], h, width)
+            whole = jnp.where(h * _PART < number, h, whole)
         total, weight = materialize((total[..., h:] + total[..., :-h], weight[..., h:] + weight[..., :-h]))
         h *= 2
     rest, found = _about_mean(block, full)
-    sections = jnp.ones_like(used)
     if section is not None:
-        first, last = (jnp.where(counted, section, end) for end in (poses, 0))
-        sections += jnp.max(last, axis=1) - jnp.min(first, axis=1)
         one = jnp.all(sections <= 1)
         rest = jax.lax.cond(one, lambda values, *_: values, _about_section, rest, full, section)
     products.append(_mean_products(rest, found))
-    details.append(jnp.maximum(used / width - sections, 0.5))
+    # motion is correlated: short sections tell no more of its smooth part than a recording without gaps
+    details.append(jnp.maximum(jnp.minimum(used / width - sections, used / whole - 1), 0.5))
     return Moments(
         jnp.stack(products, axis=1) + floor[:, None],
         jnp.stack(details, axis=1),

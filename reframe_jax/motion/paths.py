@@ -1,8 +1,9 @@
 """Integrate the twist of a measured motion, in the axes of the body and of the ground.
 
 Between two poses, the logarithm of the step is the integral of the twist plus brackets that mix its
-components (the expansion of Magnus). The brackets are computed from derivatives of the twist and taken out,
-to the sixth order in the sample time: a component of the twist that is always zero stays zero.
+components (the expansion of Magnus). The brackets are computed from derivatives of the twist and taken out: a
+component of the twist that is always zero stays zero. The error is of the sixth order in the sample time, or
+of the fourth order for very different sample times.
 
 Arrays have components first, then twists in {b} and in {g}, then samples, and windows last.
 """
@@ -15,7 +16,8 @@ from reframe_jax.geometry.small import axial, cross, materialize, pick, times, t
 
 Array = jax.Array
 _STENCIL = 7  # samples in the derivative of the twist
-_EVEN = 5  # longest over shortest step, above which derivatives across them amplify noise
+_EVEN = 5  # longest over shortest step, above which high derivatives across them amplify noise
+_NEAR = 2  # nodes on either side in a derivative across such steps
 _USUAL = 0.9  # fraction of the steps that are no gaps; a gap is _EVEN times longer than the longest of them
 
 
@@ -77,8 +79,8 @@ def mean_twists(rotation: Array, position: Array, steps: Array, count: Array | N
     """Mean twist over every step, without the brackets of the Magnus expansion.
 
     Brackets mix components: with them, constrained axes have an error that more data does not reduce (0.1
-    degrees and 0.3 mm for fast motion at a sample time of 0.1 s). They stay in windows with very different
-    steps, for example across a gap in the recording, where derivatives would amplify the noise.
+    degrees and 0.3 mm for fast motion at a sample time of 0.1 s). In windows with very different steps, where
+    high derivatives would amplify the noise, only brackets with the first derivative are taken out.
 
     Args:
         rotation: (3, 3, K+1, N).
@@ -91,8 +93,9 @@ def mean_twists(rotation: Array, position: Array, steps: Array, count: Array | N
     """
     h = steps.T
     twist = step_twists(rotation, position) / h
-    weights = _derivative_weights(steps, None if count is None else count - 1)
-    return twist - jnp.where(_are_even(steps), _brackets(twist, weights, h), 0)
+    even = _are_even(steps)
+    weights = _derivative_weights(steps, even, None if count is None else count - 1)
+    return twist - _brackets(twist, weights, h, even)
 
 
 def twist_paths(rotation: Array, position: Array, steps: Array, count: Array | None) -> tuple[Array, Array]:
@@ -140,8 +143,8 @@ def bracket(a: Array, b: Array) -> Array:
     return jnp.concatenate([turned[:, :1], turned[:, 1:] + cross(a[:, 1:], b[:, :1])], axis=1)
 
 
-def _brackets(means: Array, weights: Array, h: Array) -> Array:
-    """Brackets of mean twists (3, 2, 2, K, N).
+def _brackets(means: Array, weights: Array, h: Array, even: Array) -> Array:
+    """Brackets of mean twists (3, 2, 2, K, N); windows with ``even`` (N,) bool take higher derivatives.
 
     With a1 = h V, a2 = h^2 V', a3 = h^3 V''/2, a4 = h^4 V'''/6 at the middle of a step of length h, the
     logarithm of the step is, for the spatial twist V (Blanes, Casas, Oteo & Ros 2009),
@@ -153,10 +156,10 @@ def _brackets(means: Array, weights: Array, h: Array) -> Array:
     """
     side = jnp.asarray([-1.0, 1.0], means.dtype)[:, None, None]
     first = _derivative(weights, means)
-    second = _derivative(weights, first)
+    second = jnp.where(even, _derivative(weights, first), 0)
     # from the mean to the middle of the step; steps of unequal length jump in this, so no derivative
     # may be taken of anything that still has a factor h in it
-    middle = means - h**2 * (1 / 24) * second + h**2 * (side / 12) * bracket(means, first)
+    middle = means + jnp.where(even, h**2 * ((side / 12) * bracket(means, first) - (1 / 24) * second), 0)
     a1, a2 = h * middle, h**2 * _derivative(weights, middle)
     a3, a4 = h**3 * (1 / 2) * second, h**4 * (1 / 6) * _derivative(weights, second)
     a12 = bracket(a1, a2)
@@ -166,11 +169,12 @@ def _brackets(means: Array, weights: Array, h: Array) -> Array:
     return (outer + bracket(a2, side / 240 * a3 - 1 / 240 * a12)) / h
 
 
-def _derivative_weights(steps: Array, count: Array | None) -> Array:
+def _derivative_weights(steps: Array, even: Array, count: Array | None) -> Array:
     """Finite-difference weights (2 n - 1, K, N), 1/s, of the nodes from n - 1 before each one to n - 1 after.
 
     The nodes are the middles of the steps, of which ``count`` (N,) are not padding. Each derivative uses the
-    seven nearest, and is exact for polynomials of degree 6.
+    seven nearest, and is exact for polynomials of degree 6; in windows without ``even`` (N,) bool, it uses up
+    to two on either side.
     """
     number = steps.shape[1]
     nodes = min(_STENCIL, number)
@@ -184,13 +188,15 @@ def _derivative_weights(steps: Array, count: Array | None) -> Array:
     ends = jnp.cumsum(spans, axis=0) - spans / 2
     # Lagrange's polynomial of node i has the derivative (c_h / c_i) / (t_h - t_i) at node h, c_i being
     # the product of t_i - t_j over the other nodes j; those of all nodes add up to zero
+    own = each[:, None] - first
+    used = even | (jnp.abs(nth[:, None, None] - own) <= _NEAR)
     gaps = ends[:, None] - ends[None]
     eye = np.eye(nodes, dtype=bool)[:, :, None, None]
-    products = jnp.prod(jnp.where(eye, 1, gaps), axis=1)
-    here = nth[:, None, None] == each[:, None] - first  # the node of this step
+    products = jnp.prod(jnp.where(eye | ~used, 1, gaps), axis=1)
+    here = nth[:, None, None] == own  # the node of this step
     gap = jnp.sum(jnp.where(here, ends, 0), axis=0) - ends
-    own = jnp.sum(jnp.where(here, products, 0), axis=0)
-    others = jnp.where(here, 0, own / (products * jnp.where(gap == 0, 1, gap)))
+    mine = jnp.sum(jnp.where(here, products, 0), axis=0)
+    others = jnp.where(here | ~used, 0, mine / (products * jnp.where(gap == 0, 1, gap)))
     weights = jnp.where(here, -jnp.sum(others, axis=0), others)
     offset = jnp.arange(1 - nodes, nodes)[:, None, None, None]
     at = first + nth[:, None, None] - each[:, None]
