@@ -33,7 +33,9 @@ _AGREE = 3.0  # the same, in distances of the two other poses from the cubic
 _SUDDEN = 0.4  # smallest distance of the ends of a run from the cubic, over that of its middle
 _JUMP = 0.12  # fourth difference across either end of a run over the distance; at least 0.24 for a jump
 _FOURTH = np.array([1, -4, 6, -4, 1]) / 70**0.5  # fourth difference, with the size of white noise
-_ACROSS = np.array([[0, 1, 6, 9, 10], [3, 2, 8, 11, 12]])  # poses around and in a run, across either end
+_ACROSS = np.array(
+    [[0, 1, 6, 9, 10], [3, 2, 8, 11, 12]], np.int32
+)  # poses around and in a run, across either end
 _MOST = 0.3  # largest fraction of outliers; with more, no pose is an outlier
 
 
@@ -124,7 +126,8 @@ def _runs(path: Array, noise: Array, count: Array, number: Array) -> Array:
 
     around = -2, -1, number, number + 1, -3, number + 2
     near = at(*around, 0, number // 2, number - 1, 1, 2, number - 2, number - 3)
-    bend = jnp.min(_lengths(jnp.tensordot(_FOURTH, near[:9, _ACROSS], (0, 2))), axis=1)
+    fourth = jnp.tensordot(jnp.asarray(_FOURTH, path.dtype), near[:9, _ACROSS], (0, 2))
+    bend = jnp.min(_lengths(fourth), axis=1)
     known = jnp.stack(jnp.broadcast_arrays(start >= 3, start + number + 3 <= count))
     apart = _are_apart(near[:, :6], known, near[:, 6:9], bend, noise)
     return apart & (start >= 2) & (start + number + 2 <= count)
@@ -136,7 +139,7 @@ def _ends(path: Array, noise: Array, count: Array) -> Array:
     inward = jnp.arange(_AROUND + 1, dtype=jnp.int32)[:, None]
     places = jnp.concatenate([inward + 0 * count, jnp.maximum(count - 1 - inward, 0)])
     near = pick(path, places, 1).reshape(10, 2, _AROUND + 1, -1)  # poses from either end inward
-    around = jnp.stack([near[:, :, 1:], near[:, :, np.array([0, 2, 3, 4, 5, 6])]], axis=2)
+    around = jnp.stack([near[:, :, 1:], near[:, :, np.array([0, 2, 3, 4, 5, 6], np.int32)]], axis=2)
     run, known = near[:, None, :, :2], jnp.ones((2, 1, 1, 1), bool)
     apart = _are_apart(jnp.moveaxis(around, 3, 1), known, run, jnp.inf, noise).reshape(4, -1)
     ends = places.reshape(2, _AROUND + 1, -1)[:, :2].reshape(4, -1)
