@@ -13,6 +13,11 @@ from reframe_jax.motion.paths import sections_of
 POSES = 100
 
 
+def spec_with_a_gap(label: str) -> golden_cases.Spec:
+    (spec,) = (s for s in golden_cases.faults_specs() if (s.label, s.fault, s.white) == (label, "gap", 1e-4))
+    return spec
+
+
 def test_sections_start_after_a_gap(rng: np.random.Generator) -> None:
     even, jitter = np.full(POSES - 1, 0.05), rng.uniform(0.03, 0.07, POSES - 1)
     broken = even.copy()
@@ -41,8 +46,7 @@ def test_a_constant_in_each_section_changes_no_moment(rng: np.random.Generator) 
 
 @pytest.mark.parametrize("label", "EFGH")
 def test_constraints_of_velocities_are_found_across_a_gap(label: str) -> None:
-    specs = [s for s in golden_cases.faults_specs() if (s.label, s.fault, s.white) == (label, "gap", 1e-4)]
-    (case,) = golden_cases.simulate(specs)
+    (case,) = golden_cases.simulate([spec_with_a_gap(label)])
     found = rf.identify(case.poses, times=case.times)
     assert found.name in case.expected
     assert found.probability > 0.9
@@ -66,9 +70,8 @@ def test_short_sections_have_short_scales(rng: np.random.Generator) -> None:
 
 
 def test_many_gaps_leave_a_clear_screw() -> None:
-    specs = [s for s in golden_cases.faults_specs() if (s.label, s.fault, s.white) == ("screw", "gap", 1e-4)]
     for seed in range(40, 43):
-        (case,) = golden_cases.simulate([specs[0]._replace(fault="", seed=seed)])
+        (case,) = golden_cases.simulate([spec_with_a_gap("screw")._replace(fault="", seed=seed)])
         kept = np.arange(len(case.poses)) % 25 < 18
         found = rf.identify(case.poses[kept], times=case.times[kept])
         assert found.name in case.expected

@@ -103,7 +103,7 @@ def test_drawers_slide_along_their_line_although_their_orientation_wanders(numbe
     assert flipped.any()
     assert not counted[1:-1][flipped].any()
     assert np.sum(~counted) < 20
-    positions = recording.poses[np.asarray(found.counted), :3, 3]
+    positions = recording.poses[counted, :3, 3]
     line = np.linalg.svd(positions - positions.mean(axis=0))[2][0]
     assert angle_between(np.asarray(found.linear.axes)[:, 2], line) < 0.7
 

@@ -32,11 +32,12 @@ _NOISES = 4.0  # smallest distance from the cubic, in medians of its noise: six 
 _AGREE = 3.0  # the same, in distances of the two other poses from the cubic
 _SUDDEN = 0.4  # smallest distance of the ends of a run from the cubic, over that of its middle
 _JUMP = 0.12  # fourth difference across either end of a run over the distance; at least 0.24 for a jump
-_FOURTH = np.array([1, -4, 6, -4, 1]) / 70**0.5  # fourth difference, with the size of white noise
-_ACROSS = np.array(
-    [[0, 1, 6, 9, 10], [3, 2, 8, 11, 12]], np.int32
-)  # poses around and in a run, across either end
 _MOST = 0.3  # largest fraction of outliers; with more, no pose is an outlier
+
+_FOURTH = np.array([1, -4, 6, -4, 1])  # weights of a fourth difference
+_NOISE_GAIN = 70**0.5  # length of these weights: white noise becomes larger by this factor
+# five poses across either end of a run, among those that _runs compares
+_ACROSS = np.array([[0, 1, 6, 9, 10], [3, 2, 8, 11, 12]], np.int32)
 
 
 def repair_poses(
@@ -62,7 +63,7 @@ def repair_poses(
     # the size of a jump is not a unit of rounding: rounded positions also have steps of one unit
     step = jnp.abs(jnp.diff(measured[:3], axis=1))
     unit = jnp.minimum(unit, jnp.min(jnp.where((step > 0) & own[1:], step, jnp.inf), axis=(0, 1)))
-    size = _lengths(jnp.diff(measured, n=4, axis=1)) / 70**0.5
+    size = _lengths(jnp.diff(measured, n=4, axis=1)) / _NOISE_GAIN
     whole = jnp.broadcast_to(own[4:, None], (len(own) - 4, 2, own.shape[1]))
     noise = masked_median(jnp.swapaxes(size, 0, 1), whole)
     jumps = jnp.any(own[4:] & (size > _NOISES * noise[:, None]), axis=(0, 1))
@@ -126,7 +127,7 @@ def _runs(path: Array, noise: Array, count: Array, number: Array) -> Array:
 
     around = -2, -1, number, number + 1, -3, number + 2
     near = at(*around, 0, number // 2, number - 1, 1, 2, number - 2, number - 3)
-    fourth = jnp.tensordot(jnp.asarray(_FOURTH, path.dtype), near[:9, _ACROSS], (0, 2))
+    fourth = jnp.tensordot(jnp.asarray(_FOURTH / _NOISE_GAIN, path.dtype), near[:9, _ACROSS], (0, 2))
     bend = jnp.min(_lengths(fourth), axis=1)
     known = jnp.stack(jnp.broadcast_arrays(start >= 3, start + number + 3 <= count))
     apart = _are_apart(near[:, :6], known, near[:, 6:9], bend, noise)
@@ -153,7 +154,7 @@ def _are_apart(around: Array, known: Array, run: Array, bend: Array | float, noi
         around: (10, 6, ...) poses and times around the run: four for the cubic, and two to test it.
         known: (2, ...) bool, whether the last two exist.
         run: (10, M, ...) first, middle and last pose of the run; or its only pose.
-        bend: (2, ...) fourth difference across the ends of the run, the smaller of the two.
+        bend: (2, ...) fourth difference across the ends of the run, with the size of noise, the smaller one.
         noise: (2, N) size of the noise of positions and rotations.
     """
     nodes, tested = around[:, :4], jnp.concatenate([around[:, 4:], run], axis=1)
