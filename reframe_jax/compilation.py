@@ -81,8 +81,13 @@ def narrow(tree: _T) -> _T:
     """Round float64 arrays to float32, unless JAX computes in float64 in this thread."""
     if in_float64():
         return tree
-    host = jax.device_get(tree)
-    return jax.device_put(jax.tree.map(lambda a: a.astype(np.float32) if a.dtype == np.float64 else a, host))
+    with jax.enable_x64(True):
+        return _narrowed(tree)
+
+
+@jax.jit
+def _narrowed(tree: _T) -> _T:
+    return jax.tree.map(lambda a: a.astype(np.float32) if a.dtype == np.float64 else a, tree)
 
 
 def traced(tree: Any) -> bool:
@@ -103,12 +108,18 @@ def index_leaves(tree: _T, index: Any) -> _T:
 
     For a single row or consecutive rows, one program indexes all JAX arrays. Separate indexing would compile
     one program per shape and dtype.
+
+    Raises:
+        IndexError: for a row that does not exist, which a compiled program would replace with the last one.
     """
     leaves = jax.tree.leaves(tree)
     together = all(isinstance(leaf, jax.Array) and leaf.ndim for leaf in leaves)
     lengths = {leaf.shape[0] for leaf in leaves} if together else set()
     if len(lengths) == 1:
         if isinstance(index, int | np.integer) and not isinstance(index, bool):
+            (length,) = lengths
+            if not -length <= index < length:
+                raise IndexError(f"There is no row {index}: the arrays have {length} rows.")
             return _take_row(tree, index)
         if isinstance(index, slice):
             start, stop, step = index.indices(lengths.pop())

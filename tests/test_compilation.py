@@ -51,6 +51,13 @@ def test_numpy_arrays_stay_what_they_are() -> None:
         index_leaves({"one": jnp.ones(())}, 0)
 
 
+def test_rows_that_do_not_exist_are_refused() -> None:
+    batch = {"one": jnp.arange(8.0), "two": jnp.ones((8, 2))}
+    for row in (8, -9):
+        with pytest.raises(IndexError, match=rf"no row {row}: the arrays have 8 rows"):
+            index_leaves(batch, row)
+
+
 def count_equations(jaxpr: jax.extend.core.Jaxpr) -> int:
     """Equations of a program and of the programs in it."""
     inner = [

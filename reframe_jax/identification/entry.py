@@ -116,7 +116,7 @@ def identify_unchecked(
     _, _, norm, discretization, thresholds, _, solver, key = options
     exponent = check_exponent(norm)
     array = take_poses(poses)
-    samples, reach, assumed = check_options(options, array.shape[-3])
+    samples, reach, allowed = check_options(options, array.shape[-3])
     wide = not inside_a_trace and not isinstance(array, jax.Array) and array.dtype == np.float64
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = take_steps(array, times, dt)
@@ -128,14 +128,13 @@ def identify_unchecked(
             reach = jnp.asarray(reach, dtype)
         elif not inside_a_trace:
             reach = np.asarray(np.nan, dtype)  # the default, so that the program is that of given bounds
-        arrays = reach, level, key
+        arrays = reach, level, key, allowed
         run = partial(
             _program.in_trace if inside_a_trace else _program,
             scales=samples,
             exponent=exponent,
             discretization=discretization,
             solver=solver,
-            assume=assumed,
         )
         if inside_a_trace or 0 in array.shape[:-3]:
             found = run(array, steps, None, arrays, None)
@@ -216,15 +215,15 @@ def _identify_flat(
     poses: jax.Array,
     steps: jax.Array,
     length: jax.Array | None,
-    options: tuple[jax.Array | None, Thresholds | None, jax.Array | None],
+    options: tuple[jax.Array | None, Thresholds | None, jax.Array | None, jax.Array],
     number: jax.Array | None,
     **static: Any,
 ) -> Identification:
     """Identify windows (..., K+1, 4, 4), one chunk after another; see :func:`run_in_pieces`.
 
-    The options are the bounds, the thresholds and the random key.
+    The options are the bounds, the thresholds, the random key, and the allowed entries (E,) bool.
     """
-    bounds, thresholds, key = options
+    bounds, thresholds, key, allowed = options
     key = jax.random.key(0) if key is None else key
     batch = poses.shape[:-3]
     steps = jnp.broadcast_to(steps.astype(poses.dtype), (*batch, steps.shape[-1]))
@@ -233,10 +232,10 @@ def _identify_flat(
         poses, steps = windows
         count = None if length is None else jnp.full(len(poses), length)
         with jax.default_matmul_precision("highest"):  # a GPU would round single precision to ten bits
-            return identify_windows(poses, steps, count, bounds, thresholds, key, **static)
+            return identify_windows(poses, steps, count, bounds, thresholds, key, allowed, **static)
 
     found: Identification = map_windows(of_windows, (poses, steps), len(batch), _CHUNK, number)
     return found
 
 
-_program = Program(_identify_flat, ("scales", "exponent", "discretization", "solver", "assume"))
+_program = Program(_identify_flat, ("scales", "exponent", "discretization", "solver"))

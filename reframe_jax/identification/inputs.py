@@ -15,7 +15,7 @@ from reframe_jax.motion.checks import MIN_VELOCITIES
 
 _SINGLE = 8  # largest number of windows that are computed one by one, without a program for a batch
 _PIECE = 16384  # padded poses in a piece of a batch: its call takes far less time than its windows
-_FEWEST, _SHORT, _LONG = 8, 64, 4096  # fewest poses that are padded, and padded lengths; see padded_size
+_SHORT, _LONG = 64, 4096  # padded lengths; see padded_size
 _TOO_COARSE = ("float16", "bfloat16")
 _REMEDIES = {
     "M": ": give seconds, (times - times[0]) / np.timedelta64(1, 's')",
@@ -131,14 +131,12 @@ def _differences(times: Any) -> Any:
 
 
 def padded_size(count: int, single: bool) -> int:
-    """Return the padded length of a window of ``count`` poses; fewer than eight poses are not padded.
+    """Return the padded length of a window of ``count`` poses.
 
     Windows are padded because the compilation of a program for a new length takes longer than the computation
     with thousands of additional poses. A single window has 64, 256, 1024, 4096, or a larger power of 2; in a
     batch, many windows share one program, and the length is a power of 2 from 32.
     """
-    if count < _FEWEST:
-        return count
     size = _SHORT if single else _SHORT // 2
     while size < count:
         size *= 4 if single and size < _LONG else 2
@@ -168,7 +166,7 @@ def run_in_pieces(
     (*batch, length), count = poses.shape[:-2], math.prod(poses.shape[:-3])
     padded = padded_size(length, count <= _SINGLE) if pad else length
     # windows with and without padding, and with equal and different times, use the same program
-    before = np.int32(length) if pad and length >= _FEWEST else None
+    before = np.int32(length) if pad else None
     steps = (jnp if isinstance(steps, jax.Array) else np).broadcast_to(steps, (*batch, length - 1))
 
     def run_rows(rows: Any, number: Any = None) -> Any:

@@ -12,6 +12,7 @@ from reframe_jax.compilation import traced
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.inputs import read_numbers
 from reframe_jax.identification.naming import codes_of
+from reframe_jax.model.table import ENTRIES
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.solvers import Solver
 
@@ -70,10 +71,11 @@ def take_scales(scales: Any, poses: int) -> tuple[int, ...] | None:
     return tuple(sorted(set(values.tolist())))
 
 
-def check_options(options: Options, poses: int) -> tuple[tuple[int, ...] | None, Any, tuple[int, ...] | None]:
-    """Check all options except the norm, and return scales, bounds and assumed codes for programs.
+def check_options(options: Options, poses: int) -> tuple[tuple[int, ...] | None, Any, np.ndarray]:
+    """Check all options except the norm, and return scales, bounds and allowed entries for programs.
 
-    The number of poses in a window limits the scales.
+    The number of poses in a window limits the scales. The entries (E,) bool are those of the assumed
+    constraint, or all.
 
     Raises:
         ValueError: for an invalid option; the message states what is expected.
@@ -96,7 +98,8 @@ def check_options(options: Options, poses: int) -> tuple[tuple[int, ...] | None,
     samples, reach = take_scales(scales, poses), check_bounds(bounds)
     if not isinstance(assume, str | None):
         raise ValueError(f"assume must be the name of a constraint, such as 'hinge', not {assume!r}.")
-    return samples, reach, None if assume is None else codes_of(assume)
+    codes = range(len(ENTRIES)) if assume is None else codes_of(assume)
+    return samples, reach, np.isin(np.arange(len(ENTRIES)), codes)
 
 
 def _is_key(key: Any) -> bool:

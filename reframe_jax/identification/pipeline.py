@@ -4,6 +4,7 @@ poses -> features, moments (:mod:`reframe_jax.model`) -> the most probable entry
 """
 
 import jax
+import jax.numpy as jnp
 
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.paper import paper_origins, step_moments
@@ -24,19 +25,19 @@ def identify_windows(
     bounds: Array | None,
     thresholds: Thresholds | None,
     key: Array,
+    allowed: Array,
     *,
     scales: tuple[int, ...] | None,
     exponent: float,
     discretization: Discretization,
     solver: Solver | None,
-    assume: tuple[int, ...] | None,
 ) -> Identification:
     """Identify N windows of checked poses.
 
     The first arguments and ``scales`` are those of :func:`.prepare_windows`, the thresholds those of
     :func:`.report_windows`. The key, exponent, discretization and solver are those of the paper's search
-    (:func:`.paper_origins`), without which origins are searched over time scales. ``assume`` has the codes of
-    the entries to fit; None for the most probable entries.
+    (:func:`.paper_origins`), without which origins are searched over time scales. ``allowed`` (E,) bool
+    states which entries may be reported.
     """
     window = prepare_windows(poses, steps, count, bounds, scales)
     fixed: Prepared = jax.lax.stop_gradient(window)
@@ -51,9 +52,9 @@ def identify_windows(
     compare = thresholds is None
     searched = used.at_scales(scales) if scales and not compare else used
     solved = solve_windows(
-        fixed.features, fixed.moments, searched, whole, fixed.noise, fixed.box, origins, assume, compare
+        fixed.features, fixed.moments, searched, whole, fixed.noise, fixed.box, allowed, origins, compare
     )
     live = window.moments._replace(details=used.details)
     of_steps = of_steps if steps_only else None
-    assumed = assume is not None
+    assumed = ~jnp.all(allowed)
     return report_windows(window, live, whole.scale_weight, solved, thresholds, exponent, of_steps, assumed)

@@ -129,7 +129,7 @@ def report_windows(
     thresholds: Thresholds | None,
     exponent: float,
     of_steps: tuple[Array, Array] | None,
-    assumed: bool,
+    assumed: Array,
 ) -> Identification:
     """Build the identification of N windows.
 
@@ -141,7 +141,7 @@ def report_windows(
         thresholds: RMS velocities above which an axis is free; None if probabilities decide.
         exponent: exponent of the power mean over the axes, for the norms.
         of_steps: moments of the velocities of single steps, if RMS velocities are those of single steps.
-        assumed: whether the caller assumes a constraint.
+        assumed: () bool, whether the caller assumes a constraint.
     """
     window = window._replace(steps=jnp.broadcast_to(window.steps, (len(window.poses), window.steps.shape[1])))
     step = jnp.mean(window.steps, axis=1)
@@ -165,7 +165,7 @@ def _report_window(
     *,
     thresholds: Thresholds | None,
     single_steps: bool,
-    assumed: bool,
+    assumed: Array,
 ) -> tuple[Identification, Array, Array]:
     """Return the identification of one window, whether its origin is on the bounds, and its warning codes."""
     mean = window.features.mean_rotation
@@ -284,9 +284,10 @@ def _report_window(
         status_code=jnp.zeros((), jnp.int32),
         warning_codes=jnp.zeros((), jnp.int32),
     )
-    improbable = Caution.IMPROBABLE_ASSUMED if assumed else Caution.IMPROBABLE
+    improbable = winner.name_probability < 0.5
     noisy = jnp.any((live.details > 0) & (scale_weight == 0))
-    marks = {improbable: winner.name_probability < 0.5, Caution.NOISY_SCALE: noisy}
+    marks = {Caution.IMPROBABLE: improbable & ~assumed, Caution.IMPROBABLE_ASSUMED: improbable & assumed}
+    marks[Caution.NOISY_SCALE] = noisy
     codes = caution_codes(velocities, (angular_rms[a], linear_rms), thresholds, marks)
     return found, at_bound, codes
 

@@ -5,6 +5,7 @@ codes. The properties ``frame_type`` and ``status`` are enum members for a singl
 for a batch; a code compares equal to its enum member.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from types import EllipsisType
 from typing import Any
@@ -72,6 +73,12 @@ class Identification:
     def __getitem__(self, index: Index) -> "Identification":
         """Select windows of a batch by an index, as in an array."""
         return index_leaves(self, index)
+
+    def __iter__(self) -> Iterator["Identification"]:
+        """Iterate over the first axis of a batch."""
+        if not np.ndim(self.status_code):
+            raise TypeError("This is the identification of a single window, not of a batch.")
+        return (self[row] for row in range(len(self.status_code)))
 
     @property
     def status(self) -> Any:

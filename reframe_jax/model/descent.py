@@ -40,7 +40,7 @@ def levenberg_marquardt(
     start: T,
     like: Array,
     groups: int,
-    steps: int,
+    steps: int | Array,
 ) -> tuple[T, Array]:
     """Minimize objectives by Levenberg-Marquardt steps; return the best points, and their objectives (...).
 

@@ -10,13 +10,22 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import LinearType
-from reframe_jax.geometry.small import largest, materialize, pick, sandwich, times, total, trace, unit_matrix
+from reframe_jax.geometry.small import (
+    invert_symmetric,
+    materialize,
+    pick,
+    sandwich,
+    times,
+    total,
+    trace,
+    unit_matrix,
+)
+from reframe_jax.geometry.symmetric import INDEX_PAIRS, PACKED
 from reframe_jax.model import features as z
 from reframe_jax.model.evidence import Amplitudes, Coordinates, Spectra, amplitudes_of, log_evidence
 from reframe_jax.model.features import Features
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.rows import Forms, coordinates_at, in_body
-from reframe_jax.model.starts import smallest_eigenvalue
 from reframe_jax.model.steps import Unknowns, tilted_axis
 from reframe_jax.model.table import KINDS, PATHS, ROWS, Table
 
@@ -65,7 +74,7 @@ def window_statistics(
     features: Features,
     moments: Moments,
     whole: Moments,
-    products: Array,
+    paths: Array,
     noise: Array,
     origins: Array,
     universal_axes: tuple[Array, Array],
@@ -76,20 +85,23 @@ def window_statistics(
         features: features of the windows.
         moments: moments of all scales.
         whole: the same moments, with 0 details at scales that do not count.
-        products: (27, 27, S, N) products of ``moments``.
+        paths: (3, 3, S, 5, N) m^2, moments of the translations in ``PATHS`` at ``origins``.
         noise: (N, 2) m and rad, white noise of a pose.
         origins: (3, 4, N) m, origin of every linear type.
         universal_axes: axes a and b of the universal joint, (3, N) each.
     """
-    details, all_details, white = whole.details.T, moments.details.T, moments.white.T
-    per_scale = details, all_details, whole.scale_weight.T, white, noise.T
     rotations = jnp.moveaxis(features.to_rotation[:, :, z.TURN_GROUND], 0, -1).transpose(1, 2, 0, 3)
+    details, all_details, white = whole.details.T, moments.details.T, moments.white.T
+    levers = _squared_levers(features, rotations, origins)
+    turns = jnp.moveaxis(moments.products[:, 0, z.TURN_BODY, z.TURN_BODY], 0, -1)
+    noise = _limited_noise(paths[:, :, 0], turns, levers, moments.details[:, 0], noise.T)
+    per_scale = details, all_details, whole.scale_weight.T, white, noise
     return WindowStatistics(
         spectra=Spectra(*(leaf[:, None] for leaf in per_scale)),
         mean=jnp.moveaxis(features.mean_rotation, 0, -1),
-        noise=_limited_noise(products, all_details, white, noise)[:, None],
+        noise=noise[:, None],
         rotations=rotations,
-        levers=_squared_levers(features, rotations, origins),
+        levers=levers,
         universal=_universal_moments(*universal_axes, moments.products, features),
     )
 
@@ -179,8 +191,24 @@ def _squared_levers(features: Features, rotations: Array, origins: Array) -> Arr
     return unit_matrix(arms.dtype, 2) * trace(squares) - squares
 
 
-def _limited_noise(products: Array, all_details: Array, white: Array, noise: Array) -> Array:
-    """White noise (2, N), m and rad: at most the variance of any scale along its axis of least motion."""
-    forms = jnp.stack([products[r, r, :-1] for r in (z.POSITION, z.TURN_BODY)], axis=2)
-    shown = jnp.where(all_details[:-1] > 0, smallest_eigenvalue(forms) / white[:-1], jnp.inf)
-    return jnp.minimum(noise.T, jnp.sqrt(jnp.maximum(-largest(-shown, 1), 1e-16)))
+def _limited_noise(paths: Array, turns: Array, levers: Array, details: Array, noise: Array) -> Array:
+    """White noise (2, N), m and rad, of positions and rotations: no more than the axes of least motion show.
+
+    The least variance along any axis is at most 3 / tr(C^-1) for the covariance C. A part of it, at most the
+    noise of rotations times the squared lever, comes from rotations.
+
+    Args:
+        paths: (3, 3, 5, N) m^2, moments of the differences of consecutive poses, for every translation.
+        turns: (3, 3, N) rad^2, the same of the rotation.
+        levers: (3, 3, 5, N) m^2, see :class:`WindowStatistics`.
+        details: (N,) number of these differences; 0 if the poses have no order.
+        noise: (2, N) m and rad, estimates from the poses.
+    """
+    forms = jnp.concatenate([paths, turns[:, :, None]], axis=2)
+    unit = jnp.broadcast_to(unit_matrix(forms.dtype, 2), turns[:, :, None].shape)
+    inverse = invert_symmetric([forms[i, j] for i, j in INDEX_PAIRS])[0][np.array(PACKED, np.int32)]
+    of_rotation = total(inverse * jnp.concatenate([levers, unit], axis=2), 0, 1)
+    shown = jnp.stack([jnp.max(trace(inverse[:, :, :-1]), axis=0), jnp.max(of_rotation, axis=0)])
+    # the differences have twice the variance of the noise
+    least = jnp.sqrt(3 / (2 * shown) + 1e-16)
+    return jnp.where(details > 0, jnp.minimum(noise, least), noise)

@@ -99,7 +99,7 @@ def scale_moments(
             if section is not None:
                 both *= (section[:, 2 * h - 1 :] == section[:, : 1 - 2 * h])[:, None]
             found = jnp.sum(both, axis=(1, 2))
-            fits = (2 * h * _PART < length) & (found >= _FEWEST)
+            fits = ((h == 1) | (2 * h * _PART < length)) & (found >= _FEWEST)
             products.append(_mean_products((means[..., h:] - means[..., :-h]) * both, found))
             details.append(jnp.where(fits, found / (2 * h), 0))
             widths.append(jnp.full(len(values), h, dtype))

@@ -94,8 +94,8 @@ def solve_windows(
     whole: Moments,
     noise: Array,
     box: Array,
+    allowed: Array,
     origins: Array | None = None,
-    assume: tuple[int, ...] | None = None,
     compare_entries: bool = True,
 ) -> Solved:
     """Search, fit and compare entries of the table.
@@ -107,8 +107,8 @@ def solve_windows(
         whole: the same moments, with 0 details at scales that the amplitudes do not use.
         noise: (N, 2) m and rad, white noise of every component of a pose.
         box: (N,) m, half the width of the cube in which origins lie.
+        allowed: (E,) bool, entries that may be chosen.
         origins: (N, 4, 3) m, origin of every linear type from another search; None to search here.
-        assume: codes of the entries that are fitted; None for the most probable ones.
         compare_entries: whether to compare entries; otherwise only the starting parameters and the origins of
             the linear types are computed.
     """
@@ -143,9 +143,9 @@ def solve_windows(
     )
     if not compare_entries:
         return solved
-    windows = window_statistics(features, moments, whole, products, noise, place, crossed)
+    windows = window_statistics(features, moments, whole, forms.path, noise, place, crossed)
     problem = _Comparison(moments_of_paths, forms, starts, details, solved.tilt_scale, box)
-    log_probability, chosen, parameters = _compare_entries(problem, windows, assume)
+    log_probability, chosen, parameters = _compare_entries(problem, windows, allowed)
     return solved._replace(log_probability=log_probability.T, parameters=parameters, chosen=chosen.T)
 
 
@@ -179,17 +179,19 @@ class _Evaluated(NamedTuple):
 
 
 def _compare_entries(
-    problem: _Comparison, windows: WindowStatistics, assume: tuple[int, ...] | None
+    problem: _Comparison, windows: WindowStatistics, allowed: Array
 ) -> tuple[Array, Array, Parameters]:
-    """Log probability (E, N) of all entries; codes (C, N) and parameters (N, C, ...) of the chosen ones."""
+    """Log probability (E, N) of all entries; codes (C, N) and parameters (N, C, ...) of the chosen ones.
+
+    Where fewer than C entries are allowed, the other codes are -1.
+    """
     details, number = problem.details, len(ENTRIES)
     # entries without parameters, such as "fixed", are exact from the start
-    exact = np.flatnonzero((TABLE.parameters == 0) & (assume is None)).astype(np.int32)
-    allowed = np.isin(np.arange(number), np.arange(number) if assume is None else assume)
-    allowed[exact] = False
-    size = CANDIDATES if assume is None else min(CANDIDATES, len(assume))
-    blocks = -(-number // size)
-    codes = jnp.asarray(np.resize(np.arange(number, dtype=np.int32), (blocks, size)))
+    exact = np.flatnonzero(TABLE.parameters == 0).astype(np.int32)
+    fittable = allowed & (TABLE.parameters > 0)
+    steps = jnp.where(jnp.all(allowed), STEPS, ASSUMED_STEPS)
+    blocks = -(-number // CANDIDATES)
+    codes = jnp.asarray(np.resize(np.arange(number, dtype=np.int32), (blocks, CANDIDATES)))
 
     def screen(r: Array, _: _Evaluated) -> tuple[Array, Forms, Unknowns]:
         """Return the next block of entries, at their starting parameters."""
@@ -197,18 +199,18 @@ def _compare_entries(
         paths = jnp.asarray(TABLE.path)[block]
         start = jax.tree.map(lambda leaf: jnp.take(leaf, block, axis=-2, mode="clip"), problem.starts)
         forms = jax.tree.map(lambda leaf: jnp.take(leaf, paths, axis=-2, mode="clip"), problem.forms)
-        return jnp.broadcast_to(block[:, None], (size, details.shape[1])), forms, start
+        return jnp.broadcast_to(block[:, None], (CANDIDATES, details.shape[1])), forms, start
 
     def fit(_: Array, rounds: _Evaluated) -> tuple[Array, Forms, Unknowns]:
         """Fit the most probable entries."""
         screened: _Evaluated = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
-        rank = jnp.where(allowed[:, None], log_probability(screened), -jnp.inf)
-        best = jax.lax.top_k(rank.T, size)[1].T
+        rank = jnp.where(fittable[:, None], log_probability(screened), -jnp.inf)
+        best = jax.lax.top_k(rank.T, CANDIDATES)[1].T
         entries = entries_at(best)
         start = jax.tree.map(lambda leaf: pick(leaf, best, -2), problem.starts)
         moments = problem.moments.pick(entries.path)
         fitted = problem_of(moments, details[:, None], entries, problem.tilt_scale, problem.box, entries.tied)
-        at = descend(fitted, start, STEPS if assume is None else ASSUMED_STEPS)
+        at = descend(fitted, start, steps)
         return best, moments.at(at.origin), at
 
     def log_probability(entries: _Evaluated) -> Array:
@@ -233,12 +235,17 @@ def _compare_entries(
     # entries that were not fitted keep their evidence from screening
     screened = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
     fitted: _Evaluated = jax.tree.map(lambda leaf: leaf[blocks], rounds)
+    chosen = jnp.take(fittable, fitted.codes, mode="clip")
+    fitted = fitted._replace(
+        codes=jnp.where(chosen, fitted.codes, -1), evidence=jnp.where(chosen, fitted.evidence, -jnp.inf)
+    )
     same = screened.codes[:, None] == fitted.codes[None]  # (E, C, N)
     screened = screened._replace(evidence=jnp.where(jnp.any(same, axis=1), -jnp.inf, screened.evidence))
     both = jax.tree.map(lambda one, other: jnp.concatenate([one, other], axis=-2), screened, fitted)
     values = log_probability(both)
     everywhere = jnp.max(jnp.where(same, values[None, number:], values[:number, None]), axis=1)
-    codes = jnp.concatenate([fitted.codes, jnp.broadcast_to(exact[:, None], (len(exact), details.shape[1]))])
+    others = jnp.broadcast_to(jnp.where(allowed[exact], exact, -1)[:, None], (len(exact), details.shape[1]))
+    codes = jnp.concatenate([fitted.codes, others])
     at = jax.tree.map(
         lambda one, other: jnp.concatenate([one, other[..., exact, :]], axis=-2), fitted.at, problem.starts
     )

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import AngularType
-from reframe_jax.geometry.small import cross, diagonalize, normalize, pick, times, total, trace, unit_matrix
+from reframe_jax.geometry.small import cross, diagonalize, normalize, pick, times, total, unit_matrix
 from reframe_jax.model import features as z
 from reframe_jax.model.crossed import crossed_axes, promising_pairs
 from reframe_jax.model.rows import rotation_forms
@@ -53,20 +53,6 @@ def _sorted(axes: Array, size: Array) -> Array:
 
 def _sizes(axes: Array, form: Array) -> Array:
     return total(axes * times(form, axes), 0)
-
-
-def smallest_eigenvalue(forms: Array) -> Array:
-    """Smallest eigenvalues (...) of symmetric forms (3, 3, ...), by the cosine formula of the cubic."""
-    middle = trace(forms) / 3
-    away = forms - middle * unit_matrix(middle.dtype, middle.ndim)
-    # divide before squaring, so that small numbers do not underflow
-    largest_one = jnp.max(jnp.abs(away), axis=(0, 1)) + jnp.finfo(forms.dtype).tiny
-    unit = away / largest_one
-    size = jnp.sqrt(total(total(unit * unit, 0), 0) / 6) + jnp.finfo(forms.dtype).eps
-    det = total(unit[0] * cross(unit[1], unit[2]), 0)
-    angle = jnp.arccos(jnp.clip(det / (2 * size**3), -1, 1)) / 3
-    size = size * largest_one
-    return jnp.maximum(middle + 2 * size * jnp.cos(angle + 2 * np.pi / 3), 0)
 
 
 def common_frames(paths: Array, turns: Array, position: Array, details: Array, scale_weight: Array) -> Axes:

@@ -186,7 +186,7 @@ def _expand(problem: Problem, at: Unknowns) -> Local:
     )
 
 
-def descend(problem: Problem, start: Unknowns, steps: int) -> Unknowns:
+def descend(problem: Problem, start: Unknowns, steps: int | Array) -> Unknowns:
     """Take Levenberg-Marquardt steps."""
 
     def move(at: Unknowns, step: Array) -> Unknowns:

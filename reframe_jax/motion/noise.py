@@ -12,7 +12,7 @@ from jax import lax
 
 __all__ = ["constant_components", "estimate_noise", "masked_median", "unit_of_rounding"]
 
-_ORDERS = (2, 4, 6)  # orders of the differences
+_ORDERS = (4, 6)  # orders of the differences; those of order 2 contain the motion of few poses
 _MEDIAN_LENGTHS = (1.0, 0.6745, 1.1774, 1.5382)  # of standard normal vectors with 0, 1, 2 and 3 components
 _OFF_GRID = 0.05  # mean distance of steps from multiples of the smallest step; 0.25 without rounding
 _BISECTIONS, _OCTAVES = 14, 40  # steps and range of the bisection of a median: 0.2 % over twelve decades
@@ -52,9 +52,10 @@ def estimate_noise(
 ) -> tuple[jax.Array, jax.Array]:
     """Estimate the standard deviation of the white noise in each component of position and orientation.
 
-    The function computes an estimate from the median length of the differences of order 2, 4 and 6, and
-    returns the lowest of the three. It ignores constant components, which a planar tracker, for example, does
-    not measure. The noise of rounded positions is at least their rounding error.
+    The function computes an estimate from the median length of the differences of order 4 and 6, and returns
+    the lower one, or the rounding error for fewer than eight poses. It ignores constant components, which a
+    planar tracker, for example, does not measure. The noise of rounded positions is at least their rounding
+    error.
 
     Args:
         position: (3, K+1, N) m.
@@ -67,7 +68,7 @@ def estimate_noise(
     """
     poses = counted.shape[0]
     sizes, masks, scales = [], [], []
-    orders = [m for m in _ORDERS if m < poses - 1] or [2]
+    orders = [m for m in _ORDERS if m < poses]
     changing = [
         ~constant_components(position, counted),
         ~constant_components(turns, counted[1:] & counted[:-1], 1),

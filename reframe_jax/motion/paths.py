@@ -86,7 +86,7 @@ def mean_twists(rotation: Array, position: Array, steps: Array, count: Array | N
         rotation: (3, 3, K+1, N).
         position: (3, K+1, N) m.
         steps: (1, K) or (N, K) s, sample times.
-        count: (N,) number of poses, 8 or more, if the rest is padding, else None.
+        count: (N,) number of poses, if the rest is padding, else None.
 
     Returns:
         (3, 2, 2, K, N): angular (rad/s) and linear (m/s) velocities, in {b} and in {g}.
@@ -180,7 +180,7 @@ def _derivative_weights(steps: Array, even: Array, count: Array | None) -> Array
     nodes = min(_STENCIL, number)
     each, nth = np.arange(number), np.arange(nodes)
     last = jnp.full(1, number) if count is None else count
-    first = jnp.clip(each[:, None] - nodes // 2, 0, last - nodes)  # (K, N)
+    first = jnp.clip(each[:, None] - nodes // 2, 0, jnp.maximum(last - nodes, 0))  # (K, N)
     windows = max(steps.shape[0], first.shape[1])
     first = jnp.broadcast_to(first, (number, windows))
     every = (first + nth[:, None, None]).reshape(-1, windows)
@@ -189,7 +189,7 @@ def _derivative_weights(steps: Array, even: Array, count: Array | None) -> Array
     # Lagrange's polynomial of node i has the derivative (c_h / c_i) / (t_h - t_i) at node h, c_i being
     # the product of t_i - t_j over the other nodes j; those of all nodes add up to zero
     own = each[:, None] - first
-    used = even | (jnp.abs(nth[:, None, None] - own) <= _NEAR)
+    used = (even | (jnp.abs(nth[:, None, None] - own) <= _NEAR)) & (first + nth[:, None, None] < last)
     gaps = ends[:, None] - ends[None]
     eye = np.eye(nodes, dtype=bool)[:, :, None, None]
     products = jnp.prod(jnp.where(eye | ~used, 1, gaps), axis=1)
