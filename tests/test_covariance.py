@@ -81,7 +81,8 @@ def test_regions_hold_the_truth(windows, covariances):
     # differences of parts widen only beyond chance
     assert np.median(covariances.inflation) < 1.5
     variances = [np.trace(of.position, axis1=1, axis2=2) for of in (covariances, white)]
-    np.testing.assert_allclose(np.sqrt(variances[0] / variances[1]), covariances.inflation[:, 2])
+    # two programs fit the windows, which round differently
+    np.testing.assert_allclose(np.sqrt(variances[0] / variances[1]), covariances.inflation[:, 2], rtol=1e-5)
 
 
 def test_slow_errors_inflate():
