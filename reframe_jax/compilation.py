@@ -78,7 +78,7 @@ def in_float64() -> bool:
 
 
 def narrow(tree: _T) -> _T:
-    """Round float64 arrays to float32, unless JAX computes in float64 in this thread."""
+    """Convert float64 and int64 arrays to 32 bits, unless JAX computes with 64 bits in this thread."""
     if in_float64():
         return tree
     with jax.enable_x64(True):
@@ -87,7 +87,8 @@ def narrow(tree: _T) -> _T:
 
 @jax.jit
 def _narrowed(tree: _T) -> _T:
-    return jax.tree.map(lambda a: a.astype(np.float32) if a.dtype == np.float64 else a, tree)
+    narrower = {"float64": np.float32, "int64": np.int32}
+    return jax.tree.map(lambda a: a.astype(narrower.get(a.dtype.name, a.dtype)), tree)
 
 
 def traced(tree: Any) -> bool:

@@ -70,12 +70,21 @@ def test_the_same_program_fits_an_assumed_constraint(recording):
     assert programs() == before
 
 
-@pytest.mark.parametrize("count", [6, 7, 8, 10])
-def test_few_poses_with_long_steps_are_not_taken_for_noise(count):
-    """Poses 0.6 s apart show no smooth motion, but the hinge's axis hardly moves."""
-    made = synthetic.simulate("A", jax.random.split(jax.random.key(2), 16), noise=1e-5, dt=0.6, duration=6.0)
-    found = rf.identify(np.asarray(made.poses)[:, :count], dt=0.6)
-    assert sum(each.name == "Revolute joint" for each in found) >= 12
+@pytest.mark.parametrize(("label", "counts"), [("A", (6, 7, 8)), ("K", (7, 8, 9, 10))])
+def test_few_poses_with_long_steps_are_not_taken_for_noise(label, counts):
+    """Poses 0.6 s apart show no smooth motion, but a hinge or a pin on a plane has axes that hardly move."""
+    keys = [jax.random.key(seed) for seed in range(16)]
+    made = [synthetic.simulate(label, key, noise=1e-5, dt=0.6, duration=6.0).poses for key in keys]
+    for count in counts:
+        found = rf.identify(np.stack(made)[:, :count], dt=0.6)
+        names = [each.name for each in found]
+        assert len(names) == 16
+        assert names.count({"A": "Revolute joint", "K": "Pin-plane contact"}[label]) >= 12
+
+
+def test_a_single_window_is_not_a_batch(recording):
+    with pytest.raises(TypeError, match="single window"):
+        list(rf.identify(recording[:50], dt=DT))
 
 
 def test_what_is_wrong_with_a_solver_is_said(recording):

@@ -30,6 +30,7 @@ from reframe_jax.model.steps import Unknowns, tilted_axis
 from reframe_jax.model.table import KINDS, PATHS, ROWS, Table
 
 Array = jax.Array
+_CONSTANT = 1e-18  # m^2 or rad^2, variance below which numbers are constant
 
 
 class WindowStatistics(NamedTuple):
@@ -208,7 +209,9 @@ def _limited_noise(paths: Array, turns: Array, levers: Array, details: Array, no
     unit = jnp.broadcast_to(unit_matrix(forms.dtype, 2), turns[:, :, None].shape)
     inverse = invert_symmetric([forms[i, j] for i, j in INDEX_PAIRS])[0][np.array(PACKED, np.int32)]
     of_rotation = total(inverse * jnp.concatenate([levers, unit], axis=2), 0, 1)
-    shown = jnp.stack([jnp.max(trace(inverse[:, :, :-1]), axis=0), jnp.max(of_rotation, axis=0)])
+    of_position = jnp.concatenate([trace(inverse[:, :, :-1]), jnp.zeros_like(of_rotation[-1:])])
+    varies = 3 / trace(inverse) > _CONSTANT  # a planar tracker, for example, does not measure all directions
+    shown = jnp.max(jnp.where(varies, jnp.stack([of_position, of_rotation]), 0), axis=1)
     # the differences have twice the variance of the noise
     least = jnp.sqrt(3 / (2 * shown) + 1e-16)
     return jnp.where(details > 0, jnp.minimum(noise, least), noise)

@@ -73,8 +73,9 @@ def estimate_noise(
         ~constant_components(position, counted),
         ~constant_components(turns, counted[1:] & counted[:-1], 1),
     ]
-    # the steps are differences of order 1
-    whole, differences, before = counted[1:] & counted[:-1], [jnp.diff(position, axis=1), turns], 1
+    # differences of order 2; the steps are those of order 1
+    whole, before = counted[2:] & counted[1:-1] & counted[:-2], 2
+    differences = [jnp.diff(position, 2, axis=1), jnp.diff(turns, axis=1)]
     for order in orders:
         more, before = order - before, order
         whole = whole[more:] & whole[:-more]
