@@ -117,13 +117,13 @@ def index_leaves(tree: _T, index: Any) -> _T:
     together = all(isinstance(leaf, jax.Array) and leaf.ndim for leaf in leaves)
     lengths = {leaf.shape[0] for leaf in leaves} if together else set()
     if len(lengths) == 1:
+        (length,) = lengths
         if isinstance(index, int | np.integer) and not isinstance(index, bool):
-            (length,) = lengths
             if not -length <= index < length:
                 raise IndexError(f"There is no row {index}: the arrays have {length} rows.")
             return _take_row(tree, index)
         if isinstance(index, slice):
-            start, stop, step = index.indices(lengths.pop())
+            start, stop, step = index.indices(length)
             if step == 1:
                 return _take_rows(tree, start, max(0, stop - start))
     return jax.tree.map(lambda leaf: leaf[index], tree)

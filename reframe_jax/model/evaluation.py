@@ -39,7 +39,6 @@ class WindowStatistics(NamedTuple):
     Attributes:
         spectra: statistics (S, 1, N) of the scales.
         mean: (3, 3, N) mean rotation.
-        noise: (2, 1, N) m and rad, white noise, which raises the prior of slow errors.
         rotations: (3, 3, M, N) rotations of M poses of the window.
         levers: (3, 3, 5, N) m^2, squared sensitivity to a rotation of every translation in ``PATHS``.
         universal: moments of the coordinates of a universal joint.
@@ -47,7 +46,6 @@ class WindowStatistics(NamedTuple):
 
     spectra: Spectra
     mean: Array
-    noise: Array
     rotations: Array
     levers: Array
     universal: "UniversalMoments"
@@ -100,7 +98,6 @@ def window_statistics(
     return WindowStatistics(
         spectra=Spectra(*(leaf[:, None] for leaf in per_scale)),
         mean=jnp.moveaxis(features.mean_rotation, 0, -1),
-        noise=noise[:, None],
         rotations=rotations,
         levers=levers,
         universal=_universal_moments(*universal_axes, moments.products, features),
@@ -151,7 +148,7 @@ def evaluate_entries(
     coordinates = Coordinates(turns, shifts, mixed, jnp.stack([of_turns, lever]), gain, consistency)
     amplitudes = amplitudes_of(materialize(coordinates), entries, windows.spectra)
     tilt = jnp.where(entries.tied, jnp.sqrt(total(at.tilt**2, 0) + jnp.finfo(turns.dtype).tiny), 0)
-    return amplitudes, log_evidence(amplitudes, tilt, entries, windows.noise)
+    return amplitudes, log_evidence(amplitudes, tilt, entries, windows.spectra.noise)
 
 
 def _universal_moments(a: Array, b: Array, products: Array, features: Features) -> UniversalMoments:
