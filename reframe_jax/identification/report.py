@@ -2,35 +2,32 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
-from reframe_jax.geometry.rotations import rotation_log
-from reframe_jax.geometry.small import diagonalize
+from reframe_jax.constraints.types import POSITION_BODIES, AngularType
+from reframe_jax.identification.axes import (
+    Frames,
+    Rows,
+    fix_signs,
+    frames_of_entry,
+    frames_of_types,
+    rotation_vector,
+)
 from reframe_jax.identification.cautions import Caution, caution_codes
 from reframe_jax.identification.classify import Thresholds, degrees_of_freedom, free_rotations
 from reframe_jax.identification.frames import AllCandidates, AngularFrame, Candidates, LinearFrame, PoseNoise
 from reframe_jax.identification.naming import SAME_IN_ALL_TYPES
-from reframe_jax.identification.optima import (
-    TURN_KINDS,
-    Types,
-    rms_velocities,
-    smallest_scale,
-    types_of_steps,
-    types_over_scales,
-)
+from reframe_jax.identification.optima import Types, smallest_scale, types_of_steps, types_over_scales
 from reframe_jax.identification.preparation import Prepared
 from reframe_jax.identification.results import Identification
 from reframe_jax.identification.winner import KIND_OF_ENTRY, Winner, winner_by_thresholds, winner_of_window
-from reframe_jax.model import features as z
-from reframe_jax.model.fit import Data, coordinates_along, ground_axes
+from reframe_jax.model.fit import Data, ground_axes
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.solve import Solved
-from reframe_jax.model.table import ENTRIES, LINEAR_KINDS, ROWS, TABLE, entries_at
+from reframe_jax.model.table import ENTRIES, entries_at
 from reframe_jax.motion.checks import Status
 
 Array = jax.Array
@@ -42,83 +39,6 @@ _AT_BOUND = 0.999  # smallest coordinate of an origin on the boundary, as a frac
 _FREE = np.array([entry.dof for entry in ENTRIES], np.int32)
 _ANY_ORIGIN = np.array([[c in entry.any_origin for c in range(3)] for entry in ENTRIES])
 _NORMAL = np.array([entry.start == "normal" for entry in ENTRIES])
-_CROSSED = TABLE.crossed
-_IN_GROUND = TABLE.ground[:, 0] & ~_CROSSED & (_FREE[:, 0] % 3 > 0)  # all or no rotations: in either body
-
-
-class _Rows(NamedTuple):
-    """Three rotations, or three translations, along the reported axes."""
-
-    axes: Array  # (3, 3), columns are the axes
-    weights: Array  # (3, 27) weights of the features in each coordinate
-    square: Array  # (3,) mean square of each coordinate over the recording, m^2 or rad^2
-    dof: Array  # (3,) int, 1 for free axes
-
-
-def _block_rows(axes: Array, weights: Array, together: Array, free: Array, total: Array) -> _Rows:
-    """Rotate axes to the principal axes of their block, sort them, and fix their signs.
-
-    Constrained axes come first, then free axes, both in ascending order of amplitude. A block is a set of
-    axes that may be rotated into each other without a change of the constraint.
-    """
-    covariance = jnp.where(together, weights @ total @ weights.T, 0)
-    turn = _eigenvectors(covariance, together)
-    axes, weights = axes @ turn, turn.T @ weights
-    square = jnp.einsum("if,fg,ig->i", weights, total, weights)
-    order = jnp.argsort(jax.lax.stop_gradient(square / jnp.max(square)) + 2.0 * free)
-    axes, weights, square, free = axes[:, order], weights[order], square[order], free[order]
-    sign = [_sign(axes[:, 0]), jnp.ones(()), _sign(axes[:, 2])]
-    axes = axes * jnp.stack(sign).astype(axes.dtype)
-    return _Rows(
-        axes.at[:, 1].set(jnp.cross(axes[:, 2], axes[:, 0])), weights, square, free.astype(jnp.int32)
-    )
-
-
-def _rows_along(axes: Array, rows: Array, dof: Array, total: Array) -> _Rows:
-    """Coordinates along given axes; ``rows`` (3, 27) are the weights along the axes of the body."""
-    weights = axes.T @ rows
-    return _Rows(axes, weights, jnp.einsum("if,fg,ig->i", weights, total, weights), dof)
-
-
-def _directions_of_types(types: Types, kind: Array, normal: Array) -> Array:
-    """Columns (3, 3) of an entry's frame, in the body of the origin, from the best frames of the types.
-
-    The frame needs to be right only in the columns along which every origin of the type ``kind`` is valid.
-    The axis is the normal of a surface if ``normal``, otherwise the axis of the largest rotation.
-    """
-    own = types.linear_axes[kind]
-    axis = jnp.where(normal, own[:, 0], types.angular_axes[jnp.asarray(POSITION_BODIES)[kind], :, 2])
-    second = own[:, 2] - axis * (axis @ own[:, 2])  # of slots, the free direction
-    second = second / (jnp.linalg.norm(second) + jnp.finfo(second.dtype).tiny)
-    return jax.lax.stop_gradient(jnp.stack([jnp.cross(second, axis), second, axis], axis=1))
-
-
-def _eigenvectors(covariance: Array, together: Array) -> Array:
-    """Return the eigenvectors of the blocks of a covariance (3, 3), with their first derivative."""
-    fixed = jax.lax.stop_gradient(covariance)
-    turn = diagonalize(fixed[:, :, None])
-    seen = turn.T @ covariance @ turn
-    size = jax.lax.stop_gradient(jnp.diagonal(seen))
-    gap = size[None, :] - size[:, None]
-    apart = together & (jnp.abs(gap) > 1e-9 * jnp.max(size))
-    # the change is zero, but its derivative is not
-    change = jnp.where(apart, (seen - jax.lax.stop_gradient(seen)) / jnp.where(apart, gap, 1), 0)
-    return turn + turn @ change
-
-
-def _sign(axis: Array) -> Array:
-    """Return the sign that makes the largest component of an axis positive."""
-    axis = jax.lax.stop_gradient(axis)
-    return jnp.where(axis[jnp.argmax(jnp.abs(axis)).astype(jnp.int32)] < 0, -1, 1)
-
-
-def _rotvec(axes: Array, dof: Array) -> Array:
-    """Return the rotation vector of axes; rotations among free or constrained axes have no derivative."""
-    fixed = jax.lax.stop_gradient(axes)
-    turn = fixed.T @ axes
-    at_rest = jax.lax.stop_gradient(turn)
-    distinct = (dof[:, None] != dof[None, :]).astype(axes.dtype)
-    return rotation_log(fixed @ (at_rest + distinct * (turn - at_rest)))
 
 
 def report_windows(
@@ -169,114 +89,51 @@ def _report_window(
 ) -> tuple[Identification, Array, Array]:
     """Return the identification of one window, whether its origin is on the bounds, and its warning codes."""
     mean = window.features.mean_rotation
-    data = Data(live.products, live.details, mean, window.box)
     total = jnp.einsum("s,sfg->fg", scale_weight, live.products)
-    fixed = jax.vmap(_fix_signs)(jnp.concatenate([types.angular_axes, types.linear_axes]))
-    types = types._replace(angular_axes=fixed[:2], linear_axes=fixed[2:])
+    axes = jax.vmap(fix_signs)(jnp.concatenate([types.angular_axes, types.linear_axes]))
+    types = types._replace(angular_axes=axes[:2], linear_axes=axes[2:])
     if thresholds is None:
-        winner = winner_of_window(solved, data)
+        winner = winner_of_window(solved, Data(live.products, live.details, mean, window.box))
     else:
-        angular_dof_all = degrees_of_freedom(types.angular_rms, thresholds.angular)
-        linear_dof_all = degrees_of_freedom(types.linear_rms, thresholds.linear)
-        winner = winner_by_thresholds(types, solved, angular_dof_all, linear_dof_all)
-    code, parameters = winner.code, winner.parameters
-    known, kind = jnp.maximum(code, 0), winner.kind
-    bodies = jnp.stack([ground_axes(parameters, mean), parameters.axes])  # by AngularType
-    entry = entries_at(known)
-    weights = coordinates_along(bodies[0], parameters._replace(pitch=jnp.zeros_like(parameters.pitch)), entry)
-    held = entry.held & ~(entry.pitch & (jnp.arange(6) == 5))
-    linear_axes = bodies[jnp.asarray(ORIENTATION_BODIES)[kind]][:, entry.column[3:]]
-    of_linear = linear_axes, weights[3:], entry.together[3:, 3:], ~held[3:]
-    turned_in = jnp.where(jnp.asarray(_IN_GROUND)[known], int(AngularType.G), int(AngularType.B))
-    in_plane = entry.tied & entry.apart & held[5] & _turns_less_in_ground(bodies[0], weights, total)
-    turned_in = jnp.where(in_plane, int(AngularType.G), turned_in)
-    angular_type = jnp.where(jnp.sum(~held[:3]) == 2, jnp.argmin(types.angular_norm), turned_in)
-    angular_type = angular_type.astype(jnp.int32)
-    plain = entry.crossed | (jnp.sum(~held[:3]) == 3) | (jnp.sum(~held[:3]) == 0)
-    of_types = []
-    for body in (AngularType.G, AngularType.B):
-        axes = jnp.where(plain, types.angular_axes[body], bodies[body][:, entry.column[:3]])
-        rows = axes.T @ jnp.asarray(ROWS[TURN_KINDS[body], :, 0], axes.dtype)
-        free = jnp.where(plain, jnp.arange(3) >= 3 - jnp.sum(~held[:3]), ~held[:3])
-        together = free[:, None] == free[None, :]
-        of_types.append((axes, rows, together, free))
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), of_linear, *of_types)
-    every: _Rows = jax.vmap(partial(_block_rows, total=total))(*stacked)
-    linear, angular_all = _Rows(*(leaf[0] for leaf in every)), _Rows(*(leaf[1:] for leaf in every))
-    speeds = partial(rms_velocities, live=live, step=step)
-    angular_rms, linear_rms = jax.vmap(speeds)(angular_all.weights), speeds(linear.weights)
-    any_origin = jnp.asarray(_ANY_ORIGIN)[known]
-    directions = bodies[jnp.asarray(POSITION_BODIES)[kind]]
-    if thresholds is not None:
-        # without an entry in the table, every origin is valid only if all translations are free
-        every_origin = jnp.all(linear_dof_all[kind] == 1)
-        any_origin = jnp.where(code >= 0, any_origin, every_origin)
-        directions = _directions_of_types(types, kind, jnp.asarray(_NORMAL)[known])
-    free_position = (directions * any_origin) @ directions.T
-    at_bound = jnp.any(jnp.abs(parameters.origin) > _AT_BOUND * window.box) & ~jnp.all(any_origin)
-    position = parameters.origin - free_position @ parameters.origin
-    offset = jnp.where(jnp.asarray(POSITION_BODIES)[kind] == int(AngularType.G), window.centre, 0)
-    velocities = jnp.sum(window.counted) - 1
-    tied = _tied_types(winner, kind, thresholds, types, velocities)
+        angular_dof = degrees_of_freedom(types.angular_rms, thresholds.angular)
+        linear_dof = degrees_of_freedom(types.linear_rms, thresholds.linear)
+        winner = winner_by_thresholds(types, solved, angular_dof, linear_dof)
+    kind, fitted = winner.kind, winner.parameters
+    bodies = jnp.stack([ground_axes(fitted, mean), fitted.axes])  # by AngularType
+    frames = frames_of_entry(winner, bodies, types, live, total, step)
     if thresholds is None:
-        linear_dof_all = _last_free(jnp.sum(linear.dof), 4)
+        angular_dof = _last_free(jnp.sum(frames.angular.dof[0]), 2)
+        linear_dof = _last_free(jnp.sum(frames.linear.dof), 4)
+    any_position = _any_position(winner, bodies, types, None if thresholds is None else linear_dof)
     if thresholds is not None or single_steps:
         # as in the paper, the reported frame is the best frame of its type
-        if thresholds is None:
-            angular_dof_all = _last_free(jnp.sum(angular_all.dof[0]), 2)
-        else:
-            angular_type = jnp.argmin(types.angular_norm).astype(jnp.int32)
-        rows_along = partial(_rows_along, total=total)
-        rows = jnp.asarray(ROWS, total.dtype)
-        angular_all = jax.vmap(rows_along)(types.angular_axes, rows[TURN_KINDS, :, 0], angular_dof_all)
-        point = jnp.concatenate([jnp.ones_like(position[:1]), parameters.origin])
-        of_point = jnp.einsum("iaf,a->if", rows[LINEAR_KINDS][kind], point)
-        linear = rows_along(types.linear_axes[kind], of_point, linear_dof_all[kind])
-        angular_rms, linear_rms = types.angular_rms, types.linear_rms[kind]
-    a = angular_type
-    shift = jnp.where((jnp.asarray(POSITION_BODIES) == int(AngularType.G))[:, None], window.centre[None], 0)
-    positions = (solved.origins + shift).at[kind].set(position + offset)
-    linear_axes_all = types.linear_axes.at[kind].set(linear.axes)
-    linear_rms_all = types.linear_rms.at[kind].set(linear_rms)
-    linear_dof_all = linear_dof_all.at[kind].set(linear.dof)
-    every_dof = jnp.concatenate([angular_all.dof, linear_dof_all])
-    rotvecs = jax.vmap(_rotvec)(jnp.concatenate([angular_all.axes, linear_axes_all]), every_dof)
-    angular_rotvecs, linear_rotvecs = rotvecs[:2], rotvecs[2:]
-    crossed = entry.crossed & (thresholds is None)
+        best = jnp.argmin(types.angular_norm).astype(jnp.int32)
+        a = frames.angular_type if thresholds is None else best
+        frames = frames_of_types(a, winner, types, (angular_dof, linear_dof), total)
+    position = fitted.origin - any_position @ fitted.origin
+    centre = jnp.where((np.array(POSITION_BODIES) == int(AngularType.G))[:, None], window.centre, 0)
+    positions = solved.origins.at[kind].set(position) + centre
+    candidates = _candidates(frames, types, kind, linear_dof, positions)
+    velocities = jnp.sum(window.counted) - 1
+    a, linear, known = frames.angular_type, candidates.linear, entries_at(jnp.maximum(winner.code, 0))
+    angular_rows = jax.tree.map(lambda leaf: leaf[a], frames.angular)
+    turns = jnp.sum(angular_rows.dof)
+    crossed = known.crossed & (thresholds is None)
     found = Identification(
         angular=AngularFrame(
-            type_code=a,
-            rotvec=angular_rotvecs[a],
-            dof=angular_all.dof[a],
-            free_probability=_free_probability(winner, 0, angular_all.dof[a]),
-            rms=angular_rms[a],
-            amplitude=jnp.sqrt(jnp.maximum(angular_all.square[a], 0) + 1e-30),
-            norm=types.angular_norm[a],
-            norms=types.angular_norm,
-            tied=jnp.where(jnp.sum(angular_all.dof[a]) == 2, jnp.arange(2) == a, True),
-            free_rotation=free_rotations(angular_all.dof[a]),
+            **_of_frame(a, candidates.angular, angular_rows, _free_probability(winner, 0)),
+            tied=jnp.where(turns == 2, jnp.arange(2) == a, True),
         ),
         linear=LinearFrame(
-            type_code=kind,
-            rotvec=linear_rotvecs[kind],
-            position=position + offset,
-            dof=linear.dof,
-            free_probability=_free_probability(winner, 1, linear.dof),
-            rms=linear_rms,
-            amplitude=jnp.sqrt(jnp.maximum(linear.square, 0) + 1e-30),
-            norm=types.linear_norm[kind],
-            norms=types.linear_norm,
-            tied=tied,
-            free_rotation=free_rotations(linear.dof),
-            free_position=free_position,
+            **_of_frame(kind, linear, frames.linear, _free_probability(winner, 1)),
+            tied=_tied_types(winner, thresholds, types, velocities),
+            position=positions[kind],
+            free_position=any_position,
         ),
-        candidates=AllCandidates(
-            angular=Candidates(angular_rotvecs, angular_all.dof, angular_rms, types.angular_norm),
-            linear=Candidates(linear_rotvecs, linear_dof_all, linear_rms_all, types.linear_norm, positions),
-        ),
-        entry_code=code,
+        candidates=candidates,
+        entry_code=winner.code,
         entry_probability=winner.probability,
-        pitch=jnp.where(entry.pitch & (code >= 0), parameters.pitch, jnp.nan),
+        pitch=jnp.where(known.pitch & (winner.code >= 0), fitted.pitch, jnp.nan),
         universal_axes=jnp.where(crossed, jnp.stack([bodies[0][:, 2], bodies[1][:, 0]]), jnp.nan),
         noise=PoseNoise(position=window.noise[0], rotation=window.noise[1]),
         scale=jnp.sum(jnp.where(smallest_scale(live), live.width, 0)).astype(jnp.int32),
@@ -284,28 +141,81 @@ def _report_window(
         status_code=jnp.zeros((), jnp.int32),
         warning_codes=jnp.zeros((), jnp.int32),
     )
+    at_bound = jnp.any(jnp.abs(fitted.origin) > _AT_BOUND * window.box) & (jnp.trace(any_position) < 2.5)
     improbable = winner.name_probability < 0.5
     noisy = jnp.any((live.details > 0) & (scale_weight == 0))
     marks = {Caution.IMPROBABLE: improbable & ~assumed, Caution.IMPROBABLE_ASSUMED: improbable & assumed}
     marks[Caution.NOISY_SCALE] = noisy
-    codes = caution_codes(velocities, (angular_rms[a], linear_rms), thresholds, marks)
+    codes = caution_codes(velocities, (found.angular.rms, found.linear.rms), thresholds, marks)
     return found, at_bound, codes
 
 
-def _turns_less_in_ground(axes: Array, weights: Array, total: Array) -> Array:
-    """Whether the positions determine the axis of a planar motion better than the rotations do, ().
+def _of_frame(code: Array, types: Candidates, rows: Rows, free: Array) -> dict[str, Array]:
+    """Return what angular and linear frames have in common; see :class:`AngularFrame`.
 
-    The uncertainty of an axis is the ratio of a residual to the motion that determines the axis. For
-    rotations, this is the constrained rotation over the free rotation. For positions, it is the displacement
-    along the axis over the smaller amplitude in the plane.
+    The arguments are the type, the frames of all types, the coordinates along the reported axes, and the
+    probability that each axis is free, (3,), or NaN.
     """
-    square = jnp.einsum("if,fg,ig->i", weights, total, weights)
-    held_turns, turn, along = square[0] + square[1], square[2], square[5]
-    plane = axes[:, :2].T @ total[z.POSITION, z.POSITION] @ axes[:, :2]
-    half = jnp.trace(plane) / 2
-    det = plane[0, 0] * plane[1, 1] - plane[0, 1] * plane[1, 0]
-    weaker = half - jnp.sqrt(jnp.maximum(half * half - det, 0))
-    return along * turn < held_turns * weaker
+    return {
+        "type_code": code,
+        "rotvec": types.rotvec[code],
+        "dof": rows.dof,
+        "free_probability": jnp.where(jnp.isnan(free), rows.dof.astype(free.dtype), free),
+        "rms": types.rms[code],
+        "amplitude": jnp.sqrt(jnp.maximum(rows.square, 0) + 1e-30),
+        "norm": types.norm[code],
+        "norms": types.norm,
+        "free_rotation": free_rotations(rows.dof),
+    }
+
+
+def _candidates(
+    frames: Frames, types: Types, kind: Array, linear_dof: Array, positions: Array
+) -> AllCandidates:
+    """Return the best frame of every type, with the reported frame for the reported types."""
+    linear_axes = types.linear_axes.at[kind].set(frames.linear.axes)
+    linear_dof = linear_dof.at[kind].set(frames.linear.dof)
+    linear_rms = types.linear_rms.at[kind].set(frames.linear_rms)
+    rotvecs = jax.vmap(rotation_vector)(
+        jnp.concatenate([frames.angular.axes, linear_axes]),
+        jnp.concatenate([frames.angular.dof, linear_dof]),
+    )
+    return AllCandidates(
+        Candidates(rotvecs[:2], frames.angular.dof, frames.angular_rms, types.angular_norm),
+        Candidates(rotvecs[2:], linear_dof, linear_rms, types.linear_norm, positions),
+    )
+
+
+def _any_position(winner: Winner, bodies: Array, types: Types, linear_dof: Array | None) -> Array:
+    """Return the projector (3, 3) onto the directions along which every origin is valid.
+
+    Args:
+        winner: the reported entry.
+        bodies: (2, 3, 3) its axes in the ground and in the body.
+        types: the best frames of all types.
+        linear_dof: (4, 3) degrees of freedom by thresholds; None if probabilities decide.
+    """
+    known, kind = jnp.maximum(winner.code, 0), winner.kind
+    columns = jnp.asarray(_ANY_ORIGIN)[known]
+    directions = bodies[jnp.asarray(POSITION_BODIES)[kind]]
+    if linear_dof is not None:
+        # without an entry in the table, every origin is valid only if all translations are free
+        columns = jnp.where(winner.code >= 0, columns, jnp.all(linear_dof[kind] == 1))
+        directions = _directions_of_types(types, kind, jnp.asarray(_NORMAL)[known])
+    return (directions * columns) @ directions.T
+
+
+def _directions_of_types(types: Types, kind: Array, normal: Array) -> Array:
+    """Columns (3, 3) of an entry's frame, in the body of the origin, from the best frames of the types.
+
+    The frame needs to be right only in the columns along which every origin of the type ``kind`` is valid.
+    The axis is the normal of a surface if ``normal``, otherwise the axis of the largest rotation.
+    """
+    own = types.linear_axes[kind]
+    axis = jnp.where(normal, own[:, 0], types.angular_axes[jnp.asarray(POSITION_BODIES)[kind], :, 2])
+    second = own[:, 2] - axis * (axis @ own[:, 2])  # of slots, the free direction
+    second = second / (jnp.linalg.norm(second) + jnp.finfo(second.dtype).tiny)
+    return jax.lax.stop_gradient(jnp.stack([jnp.cross(second, axis), second, axis], axis=1))
 
 
 def _last_free(number: Array, types: int) -> Array:
@@ -313,22 +223,15 @@ def _last_free(number: Array, types: int) -> Array:
     return jnp.broadcast_to(jnp.arange(3) >= 3 - number, (types, 3)).astype(jnp.int32)
 
 
-def _fix_signs(axes: Array) -> Array:
-    first, third = axes[:, 0] * _sign(axes[:, 0]), axes[:, 2] * _sign(axes[:, 2])
-    return jnp.stack([first, jnp.cross(third, first), third], axis=1)
-
-
-def _free_probability(winner: Winner, group: int, dof: Array) -> Array:
-    """Return the probability that each axis is free, in ascending order, (3,)."""
+def _free_probability(winner: Winner, group: int) -> Array:
+    """Return the probability that each axis is free, in ascending order, (3,); NaN with thresholds."""
     count = jnp.asarray(_FREE[:, group])
     above = [jnp.sum(jnp.where(count >= free, winner.probability, 0)) for free in (3, 2, 1)]
     found = jnp.clip(jnp.stack(above), 0, 1)
-    return jnp.where(jnp.isnan(winner.probability[0]), dof.astype(found.dtype), found)
+    return jnp.where(jnp.isnan(winner.probability[0]), jnp.nan, found)
 
 
-def _tied_types(
-    winner: Winner, kind: Array, thresholds: Thresholds | None, types: Types, velocities: Array
-) -> Array:
+def _tied_types(winner: Winner, thresholds: Thresholds | None, types: Types, velocities: Array) -> Array:
     """Return which linear types fit equally well, (4,) bool.
 
     By default, these are the types whose entries, with the same degrees of freedom, are nearly as probable as
@@ -336,6 +239,7 @@ def _tied_types(
     the constrained axes is within three standard deviations of that of the reported type. (Velocities of
     consecutive steps are correlated: 1.5 velocities count as one.)
     """
+    kind = winner.kind
     own = jnp.arange(4) == kind
     if thresholds is not None:
         held = types.linear_rms[kind] <= thresholds.linear

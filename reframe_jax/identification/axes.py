@@ -1,0 +1,171 @@
+"""The axes of the reported frames, the coordinates along them, and their RMS velocities.
+
+Either the axes are those of the reported entry of the table, or, as in the paper, those of the best frame of
+the reported type.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.constraints.types import ORIENTATION_BODIES, AngularType
+from reframe_jax.geometry.rotations import rotation_log
+from reframe_jax.geometry.small import diagonalize
+from reframe_jax.identification.optima import TURN_KINDS, Types, rms_velocities
+from reframe_jax.identification.winner import Winner
+from reframe_jax.model import features as z
+from reframe_jax.model.fit import coordinates_along
+from reframe_jax.model.moments import Moments
+from reframe_jax.model.table import ENTRIES, LINEAR_KINDS, ROWS, TABLE, entries_at
+
+Array = jax.Array
+
+_DOF = np.array([entry.dof[0] for entry in ENTRIES])
+# all or no rotations are free in either body
+_IN_GROUND = TABLE.ground[:, 0] & ~TABLE.crossed & (_DOF % 3 > 0)
+
+
+class Rows(NamedTuple):
+    """Three rotations, or three translations, along the axes of a frame."""
+
+    axes: Array  # (3, 3), columns are the axes
+    weights: Array  # (3, 27) weights of the features in each coordinate
+    square: Array  # (3,) mean square of each coordinate over the recording, m^2 or rad^2
+    dof: Array  # (3,) int, 1 for free axes
+
+
+class Frames(NamedTuple):
+    """The reported frames of one window."""
+
+    angular_type: Array  # () ``AngularType``
+    angular: Rows  # of both types, with an axis (2,) in front
+    angular_rms: Array  # (2, 3) rad/s
+    linear: Rows
+    linear_rms: Array  # (3,) m/s
+
+
+def frames_of_entry(
+    winner: Winner, bodies: Array, types: Types, live: Moments, total: Array, step: Array
+) -> Frames:
+    """Return the frames of the reported entry of one window.
+
+    Args:
+        winner: the entry, with its parameters.
+        bodies: (2, 3, 3) axes of the entry in the ground and in the body.
+        types: the best frames of all types.
+        live: moments at the used scales, for the RMS velocities.
+        total: (27, 27) moments over the whole recording, for the amplitudes.
+        step: () s, mean duration of a step.
+    """
+    entry = entries_at(jnp.maximum(winner.code, 0))
+    parameters = winner.parameters._replace(pitch=jnp.zeros_like(winner.parameters.pitch))
+    weights = coordinates_along(bodies[0], parameters, entry)
+    free = ~entry.held | (entry.pitch & (jnp.arange(6) == 5))
+    axes = bodies[jnp.asarray(ORIENTATION_BODIES)[winner.kind]][:, entry.column[3:]]
+    of_linear = axes, weights[3:], entry.together[3:, 3:], free[3:]
+    turns = jnp.sum(free[:3])
+    plain = entry.crossed | (turns == 3) | (turns == 0)
+    turns_free = jnp.where(plain, jnp.arange(3) >= 3 - turns, free[:3])
+    of_angular = []
+    for body in AngularType:
+        axes = jnp.where(plain, types.angular_axes[body], bodies[body][:, entry.column[:3]])
+        rows = axes.T @ jnp.asarray(ROWS[TURN_KINDS[body], :, 0], axes.dtype)
+        of_angular.append((axes, rows, turns_free[:, None] == turns_free[None, :], turns_free))
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), of_linear, *of_angular)
+    every: Rows = jax.vmap(partial(_principal_rows, total=total))(*stacked)
+    linear, angular = Rows(*(leaf[0] for leaf in every)), Rows(*(leaf[1:] for leaf in every))
+    # ---- the body in which the rotation is reported
+    in_plane = entry.tied & entry.apart & ~free[5] & _turns_less_in_ground(bodies[0], weights, total)
+    in_ground = in_plane | jnp.asarray(_IN_GROUND)[jnp.maximum(winner.code, 0)]
+    of_turns = jnp.where(in_ground, int(AngularType.G), int(AngularType.B))
+    angular_type = jnp.where(turns == 2, jnp.argmin(types.angular_norm), of_turns).astype(jnp.int32)
+    speeds = partial(rms_velocities, live=live, step=step)
+    return Frames(angular_type, angular, jax.vmap(speeds)(angular.weights), linear, speeds(linear.weights))
+
+
+def frames_of_types(
+    angular_type: Array, winner: Winner, types: Types, dof: tuple[Array, Array], total: Array
+) -> Frames:
+    """Return the best frames of the reported types of one window.
+
+    ``dof`` are the degrees of freedom of all angular types (2, 3) and linear types (4, 3); for the other
+    arguments, see :func:`frames_of_entry`.
+    """
+    kind, rows = winner.kind, jnp.asarray(ROWS, total.dtype)
+    along = partial(_rows_along, total=total)
+    angular = jax.vmap(along)(types.angular_axes, rows[TURN_KINDS, :, 0], dof[0])
+    point = jnp.concatenate([jnp.ones(1, total.dtype), winner.parameters.origin])
+    of_point = jnp.einsum("iaf,a->if", rows[LINEAR_KINDS][kind], point)
+    linear = along(types.linear_axes[kind], of_point, dof[1][kind])
+    return Frames(angular_type, angular, types.angular_rms, linear, types.linear_rms[kind])
+
+
+def _principal_rows(axes: Array, weights: Array, together: Array, free: Array, total: Array) -> Rows:
+    """Rotate axes to the principal axes of their block, sort them, and fix their signs.
+
+    Constrained axes come first, then free axes, both in ascending order of amplitude. A block is a set of
+    axes that may be rotated into each other without a change of the constraint.
+    """
+    covariance = jnp.where(together, weights @ total @ weights.T, 0)
+    turn = _eigenvectors(covariance, together)
+    axes, weights = axes @ turn, turn.T @ weights
+    square = jnp.einsum("if,fg,ig->i", weights, total, weights)
+    order = jnp.argsort(jax.lax.stop_gradient(square / jnp.max(square)) + 2.0 * free)
+    axes, weights, square, free = axes[:, order], weights[order], square[order], free[order]
+    return Rows(fix_signs(axes), weights, square, free.astype(jnp.int32))
+
+
+def _rows_along(axes: Array, rows: Array, dof: Array, total: Array) -> Rows:
+    """Coordinates along given axes; ``rows`` (3, 27) are the weights along the axes of the body."""
+    weights = axes.T @ rows
+    return Rows(axes, weights, jnp.einsum("if,fg,ig->i", weights, total, weights), dof)
+
+
+def _eigenvectors(covariance: Array, together: Array) -> Array:
+    """Return the eigenvectors of the blocks of a covariance (3, 3), with their first derivative."""
+    fixed = jax.lax.stop_gradient(covariance)
+    turn = diagonalize(fixed[:, :, None])
+    seen = turn.T @ covariance @ turn
+    size = jax.lax.stop_gradient(jnp.diagonal(seen))
+    gap = size[None, :] - size[:, None]
+    apart = together & (jnp.abs(gap) > 1e-9 * jnp.max(size))
+    # the change is zero, but its derivative is not
+    change = jnp.where(apart, (seen - jax.lax.stop_gradient(seen)) / jnp.where(apart, gap, 1), 0)
+    return turn + turn @ change
+
+
+def _turns_less_in_ground(axes: Array, weights: Array, total: Array) -> Array:
+    """Whether the positions determine the axis of a planar motion better than the rotations do, ().
+
+    The uncertainty of an axis is the ratio of a residual to the motion that determines the axis. For
+    rotations, this is the constrained rotation over the free rotation. For positions, it is the displacement
+    along the axis over the smaller amplitude in the plane.
+    """
+    square = jnp.einsum("if,fg,ig->i", weights, total, weights)
+    held_turns, turn, along = square[0] + square[1], square[2], square[5]
+    plane = axes[:, :2].T @ total[z.POSITION, z.POSITION] @ axes[:, :2]
+    half = jnp.trace(plane) / 2
+    det = plane[0, 0] * plane[1, 1] - plane[0, 1] * plane[1, 0]
+    weaker = half - jnp.sqrt(jnp.maximum(half * half - det, 0))
+    return along * turn < held_turns * weaker
+
+
+def fix_signs(axes: Array) -> Array:
+    """Make the largest components of the first and the third axis positive, and the frame right-handed."""
+    ends = jax.lax.stop_gradient(axes[:, ::2])
+    largest = jnp.argmax(jnp.abs(ends), axis=0).astype(jnp.int32)
+    negative = jnp.take_along_axis(ends, largest[None], 0)[0] < 0
+    first, third = (axes[:, ::2] * jnp.where(negative, -1, 1)).T
+    return jnp.stack([first, jnp.cross(third, first), third], axis=1)
+
+
+def rotation_vector(axes: Array, dof: Array) -> Array:
+    """Return the rotation vector of axes; rotations among free or constrained axes have no derivative."""
+    fixed = jax.lax.stop_gradient(axes)
+    turn = fixed.T @ axes
+    at_rest = jax.lax.stop_gradient(turn)
+    distinct = (dof[:, None] != dof[None, :]).astype(axes.dtype)
+    return rotation_log(fixed @ (at_rest + distinct * (turn - at_rest)))
