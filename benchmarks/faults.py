@@ -47,7 +47,7 @@ from reframe_jax.solvers import Box, Solution
 FRACTIONS = {"files": 0.2, "windows": 0.7, "arguments": 0.05, "stores": 0.04, "commands": 0.01}
 LISTED = 5  # most faults to print per part
 PATIENCE = 600.0  # s, time limit of one input, including compilation on a busy machine
-POSES, DT = 21, 0.1
+POSES, DT = 33, 0.1
 _LABELS, _MOST = "AEGK", 1024
 
 

@@ -17,9 +17,9 @@ pytest.importorskip("pyarrow")
 
 @pytest.fixture(scope="module")
 def windows():
-    """(40, 21, 4, 4): enough for three parts, the last one smaller, which all fill the same program."""
+    """(40, 33, 4, 4): enough for three parts, the last one smaller; other tests have the same program."""
     keys = jax.random.split(jax.random.key(0), 40)
-    simulate = jax.vmap(lambda key: synthetic.simulate("K", key, noise=1e-4, duration=2.0).poses)
+    simulate = jax.vmap(lambda key: synthetic.simulate("K", key, noise=1e-4, duration=3.2).poses)
     return np.asarray(jax.jit(simulate)(keys))
 
 
@@ -126,7 +126,7 @@ def test_machines_can_share_the_parts(windows, tmp_path):
 def test_memory_mapped_windows_and_times_of_every_window(windows, expected, tmp_path):
     np.save(tmp_path / "windows.npy", windows)
     mapped = np.load(tmp_path / "windows.npy", mmap_mode="r")
-    times = np.tile(0.1 * np.arange(21), (40, 1))
+    times = np.tile(0.1 * np.arange(33), (40, 1))
     found = rf.load_results(rf.identify_many(mapped, tmp_path / "out", times=times, part_size=20))
     np.testing.assert_allclose(found.linear.norm, expected.linear.norm, rtol=1e-6)
 
@@ -154,7 +154,7 @@ def test_bad_input_is_refused_in_words(windows, tmp_path):
     with pytest.raises(ValueError, match="window 1 has"):
         rf.identify_many([windows[0], windows[1, :9]], tmp_path / "a", dt=0.1)
     with pytest.raises(ValueError, match="one row per window"):
-        rf.identify_many(windows, tmp_path / "b", times=np.zeros((39, 21)))
+        rf.identify_many(windows, tmp_path / "b", times=np.zeros((39, 33)))
     (tmp_path / "file").write_text("")
     with pytest.raises(ValueError, match="is a file; expected a folder"):
         rf.identify_many(windows, tmp_path / "file", dt=0.1)

@@ -17,7 +17,7 @@ from reframe_jax.recordings.writing import save_recording
 from reframe_jax.simulation.motions import PoseErrors
 from reframe_jax.simulation.sequences import SequenceSimulation, simulate_sequence
 
-DT = 0.01
+DT = 0.025
 
 
 @pytest.fixture(scope="module")
