@@ -136,7 +136,7 @@ def _windows() -> np.ndarray:
 
 
 def sound_windows(count: int) -> np.ndarray:
-    """Intact poses (count, 21, 4, 4) of several constraints in turn; at most 1024 windows."""
+    """Intact poses (count, 33, 4, 4) of several constraints in turn; at most 1024 windows."""
     return _windows()[:count].copy()
 
 

@@ -78,8 +78,14 @@ def in_float64() -> bool:
 
 
 def narrow(tree: _T) -> _T:
-    """Convert float64 and int64 arrays to 32 bits, unless JAX computes with 64 bits in this thread."""
-    if in_float64():
+    """Return JAX arrays with at most 32 bits, or at most 64 if JAX computes with 64 bits in this thread.
+
+    NumPy arrays become JAX arrays without a program, of which JAX would compile one for every shape.
+    """
+    leaves = jax.tree.leaves(tree)
+    if all(isinstance(leaf, np.ndarray) for leaf in leaves):
+        return jax.device_put(tree)
+    if in_float64() or all(leaf.dtype.itemsize < 8 for leaf in leaves):
         return tree
     with jax.enable_x64(True):
         return _narrowed(tree)
@@ -107,8 +113,8 @@ def inside_trace(tree: Any) -> bool:
 def index_leaves(tree: _T, index: Any) -> _T:
     """Apply an index to the first axes of every array of a pytree.
 
-    For a single row or consecutive rows, one program indexes all JAX arrays. Separate indexing would compile
-    one program per shape and dtype.
+    NumPy indexes JAX arrays on a CPU, because JAX would compile a program for every shape and dtype. On a
+    GPU, one program indexes all arrays for a single row or consecutive rows.
 
     Raises:
         IndexError: for a row that does not exist, which a compiled program would replace with the last one.
@@ -116,17 +122,24 @@ def index_leaves(tree: _T, index: Any) -> _T:
     leaves = jax.tree.leaves(tree)
     together = all(isinstance(leaf, jax.Array) and leaf.ndim for leaf in leaves)
     lengths = {leaf.shape[0] for leaf in leaves} if together else set()
-    if len(lengths) == 1:
-        (length,) = lengths
-        if isinstance(index, int | np.integer) and not isinstance(index, bool):
-            if not -length <= index < length:
-                raise IndexError(f"There is no row {index}: the arrays have {length} rows.")
-            return _take_row(tree, index)
-        if isinstance(index, slice):
-            start, stop, step = index.indices(length)
-            if step == 1:
-                return _take_rows(tree, start, max(0, stop - start))
+    length = lengths.pop() if len(lengths) == 1 else None
+    row = isinstance(index, int | np.integer) and not isinstance(index, bool)
+    if row and length is not None and not -length <= index < length:
+        raise IndexError(f"There is no row {index}: the arrays have {length} rows.")
+    if together and not traced((tree, index)) and all(map(_on_one_cpu, leaves)):
+        with jax.enable_x64(True):  # the dtypes remain
+            return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[index], tree))
+    if row and length is not None:
+        return _take_row(tree, index)
+    if isinstance(index, slice) and length is not None:
+        start, stop, step = index.indices(length)
+        if step == 1:
+            return _take_rows(tree, start, max(0, stop - start))
     return jax.tree.map(lambda leaf: leaf[index], tree)
+
+
+def _on_one_cpu(array: jax.Array) -> bool:
+    return {device.platform for device in array.devices()} == {"cpu"} and len(array.devices()) == 1
 
 
 @jax.jit

@@ -1,4 +1,4 @@
-"""Programs that take windows out of a batch."""
+"""The number of compiled programs and their size, and the indices of batches."""
 
 import os
 import subprocess
@@ -12,10 +12,18 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
+from reframe_jax import compilation
 from reframe_jax.compilation import _take_row, _take_rows, index_leaves
+from reframe_jax.simulation import synthetic
 
 
-def test_a_row_of_all_arrays_is_taken_by_one_program() -> None:
+@pytest.fixture
+def on_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Index arrays as on a GPU."""
+    monkeypatch.setattr(compilation, "_on_one_cpu", lambda _: False)
+
+
+def test_a_row_of_all_arrays_is_taken_by_one_program(on_gpu: None) -> None:
     batch = {"one": jnp.arange(8.0), "two": jnp.arange(24).reshape(8, 3) > 4, "three": jnp.ones((8, 2, 2))}
     before = _take_row._cache_size()
     for row in (0, 3, -1, 7):
@@ -27,7 +35,7 @@ def test_a_row_of_all_arrays_is_taken_by_one_program() -> None:
     np.testing.assert_array_equal(index_leaves(batch, np.int64(5))["one"], 5.0)
 
 
-def test_consecutive_rows_too() -> None:
+def test_consecutive_rows_too(on_gpu: None) -> None:
     batch = {"one": jnp.arange(8.0), "two": jnp.ones((8, 2))}
     before = _take_rows._cache_size()
     for rows in (slice(0, 3), slice(2, 5), slice(-3, None)):
@@ -40,9 +48,14 @@ def test_consecutive_rows_too() -> None:
 @pytest.mark.parametrize(
     "index", [slice(None, None, 2), np.array([0, 2]), (Ellipsis, 0), None, np.array([True, False, True])]
 )
-def test_other_indices_are_those_of_arrays(index: Any) -> None:
+@pytest.mark.parametrize("place", ["cpu", "gpu"])
+def test_other_indices_are_those_of_arrays(index: Any, place: str, request: pytest.FixtureRequest) -> None:
+    if place == "gpu":
+        request.getfixturevalue("on_gpu")
     values = np.arange(12.0).reshape(3, 4)
-    np.testing.assert_array_equal(index_leaves({"one": jnp.asarray(values)}, index)["one"], values[index])
+    taken = index_leaves({"one": jnp.asarray(values)}, index)["one"]
+    assert isinstance(taken, jax.Array)
+    np.testing.assert_array_equal(taken, values[index])
 
 
 def test_numpy_arrays_stay_what_they_are() -> None:
@@ -121,3 +134,22 @@ def test_the_first_call_compiles_few_programs(caplog: pytest.LogCaptureFixture) 
         rf.identify(poses, dt=0.1)
     compiled = [record for record in caplog.records if "Finished XLA compilation" in record.getMessage()]
     assert len(compiled) <= 10
+
+
+def test_other_lengths_and_numbers_of_windows_compile_nothing(caplog: pytest.LogCaptureFixture) -> None:
+    poses = np.asarray(synthetic.simulate("K", jax.random.key(0), noise=1e-4).poses)
+
+    def use(length: int, number: int) -> None:
+        window, windows = poses[:length], np.tile(poses[:length], (number, 1, 1, 1))
+        found = rf.identify(window, dt=0.1)
+        rf.covariance(found, window, dt=0.1)
+        batch = rf.identify(windows, dt=0.1)
+        for part in (batch[3], batch[2:5], batch[np.asarray(batch.status_code) == 0]):
+            assert set(np.ravel(part.name)) == {"Pin-plane contact"}
+
+    with jax.enable_x64(False):  # as JAX is set by default: results are rounded
+        use(51, 20)
+        caplog.clear()
+        with jax.log_compiles():
+            use(47, 23)
+    assert not [record for record in caplog.records if "Finished XLA compilation" in record.getMessage()]

@@ -8,7 +8,6 @@ from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
 import reframe_jax as rf
-from benchmarks import faults
 from reframe_jax.motion.kinematics import split_poses
 from reframe_jax.motion.outliers import repair_poses
 from reframe_jax.simulation import synthetic
@@ -144,14 +143,3 @@ def test_what_is_left_out_is_filled_in(poses):
     np.testing.assert_array_equal(filled[0, :20], poses[:20])
     third = poses[19] @ expm(logm(np.linalg.inv(poses[19]) @ poses[22]) / 3)
     np.testing.assert_allclose(filled[0, 20], third, atol=1e-9)
-
-
-def test_a_jump_in_one_window_changes_no_other():
-    """In the second window, the search would find a pose that the fast test before it does not announce."""
-    windows = faults.sound_windows(1024)[563:565]
-    times, count = np.tile(faults.DT * np.arange(21.0), (2, 1)), np.full(2, 21)
-    _, single = repair(windows[1:], times[1:], count[1:])
-    windows[0, 8, :3, 3] += 0.5
-    _, together = repair(windows, times, count)
-    assert not together[0, 8]
-    np.testing.assert_array_equal(together[1], single[0])

@@ -212,42 +212,8 @@ def shows_the_ellipsoid(page: Any) -> bool:
     return bool(pale.sum() > 200)
 
 
-def test_the_page_shows_the_window_and_needs_no_network(browser: Any, tracks: list[WindowTrack]) -> None:
-    page = Page(tracks, title="door.csv", port=8190)
-    try:
-        view = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
-        asked: list[str] = []
-        view.on("request", lambda request: asked.append(request.url))
-        view.goto(page.url)
-        wait_for(lambda: shows_the_scene(view))
-        for words in ("door.csv", "Revolute joint", "residuals", "time [s]", "window"):
-            assert view.get_by_text(words).first.is_visible(), words
-        before = picture(view)[:, SCENE]
-        wait_for(lambda: bool((picture(view)[:, SCENE] == before).all()))
-
-        # the slider of the time moves the body
-        field = view.locator("input:visible:not([type=checkbox])").last
-        field.fill("1.5")
-        field.press("Enter")
-        wait_for(lambda: bool((picture(view)[:, SCENE] != before).sum() > 500))
-        assert shows_the_scene(view)
-
-        # the other window has no result, and so no axes
-        field = view.locator("input:visible:not([type=checkbox])").first
-        field.fill("1")
-        field.press("Enter")
-        wait_for(lambda: view.get_by_text("No result").first.is_visible())
-        wait_for(lambda: not near(picture(view)[:, SCENE], TURNING).any())
-        assert near(picture(view)[:, SCENE], BODY).sum() > 40
-
-        local = re.compile(r"(blob:)?http://127\.0\.0\.1:\d+/|data:|ws://127\.0\.0\.1:\d+")
-        assert asked
-        assert all(local.match(url) for url in asked), asked
-    finally:
-        page.close()
-
-
 SIZES = [(390, 844), (WIDTH, HEIGHT)]  # a telephone and a desktop
+TELEPHONE = {"width": 390, "height": 844}
 _PLACES = """() => {
   const scene = [...document.querySelectorAll("canvas")].map(e => e.getBoundingClientRect())
     .sort((a, b) => b.width * b.height - a.width * a.height)[0];
@@ -276,31 +242,50 @@ def check_layout(view: Any, width: int, height: int, heading: Any) -> None:
     assert view.evaluate("document.documentElement.scrollWidth") <= width
 
 
-def check_layouts(browser: Any, url: str, heading: Callable[[Any], Any]) -> None:
-    """Load a page with the size of a telephone, check its layout, and check the layout of a desktop too."""
-    view = browser.new_page(viewport=dict(zip(("width", "height"), SIZES[0], strict=True)))
-    view.goto(url)
+def check_layouts(view: Any, heading: Callable[[], Any]) -> None:
+    """Check the layout of a loaded page with the size of a telephone, and then of a desktop."""
     for width, height in SIZES:
         view.set_viewport_size({"width": width, "height": height})
         wait_for(lambda: view.get_by_text("residuals").first.is_visible())
-        check_layout(view, width, height, heading(view))
-    view.close()
+        check_layout(view, width, height, heading())
 
 
-def test_the_panel_does_not_cover_the_scene(browser: Any, tracks: list[WindowTrack]) -> None:
+def test_the_page_shows_the_window_beside_a_panel_and_needs_no_network(
+    browser: Any, tracks: list[WindowTrack]
+) -> None:
     page = Page(tracks, title="door.csv", port=8190)
     try:
-        check_layouts(browser, page.url, lambda view: view.get_by_text("door.csv").first)
+        view = browser.new_page(viewport=TELEPHONE)
+        asked: list[str] = []
+        view.on("request", lambda request: asked.append(request.url))
+        view.goto(page.url)
+        check_layouts(view, lambda: view.get_by_text("door.csv").first)
+        wait_for(lambda: shows_the_scene(view))
+        for words in ("door.csv", "Revolute joint", "residuals", "time [s]", "window"):
+            assert view.get_by_text(words).first.is_visible(), words
+        before = picture(view)[:, SCENE]
+        wait_for(lambda: bool((picture(view)[:, SCENE] == before).all()))
+
+        # the slider of the time moves the body
+        field = view.locator("input:visible:not([type=checkbox])").last
+        field.fill("1.5")
+        field.press("Enter")
+        wait_for(lambda: bool((picture(view)[:, SCENE] != before).sum() > 500))
+        assert shows_the_scene(view)
+
+        # the other window has no result, and so no axes
+        field = view.locator("input:visible:not([type=checkbox])").first
+        field.fill("1")
+        field.press("Enter")
+        wait_for(lambda: view.get_by_text("No result").first.is_visible())
+        wait_for(lambda: not near(picture(view)[:, SCENE], TURNING).any())
+        assert near(picture(view)[:, SCENE], BODY).sum() > 40
+
+        local = re.compile(r"(blob:)?http://127\.0\.0\.1:\d+/|data:|ws://127\.0\.0\.1:\d+")
+        assert asked
+        assert all(local.match(url) for url in asked), asked
     finally:
         page.close()
-
-
-def test_the_panel_of_a_file_does_not_cover_the_scene(
-    browser: Any, tracks: list[WindowTrack], tmp_path: Path
-) -> None:
-    write_page(tmp_path / "page.html", tracks[:1], title="door.csv")
-    page = (tmp_path / "page.html").as_uri()
-    check_layouts(browser, page, lambda view: view.locator("#reframe-panel"))
 
 
 def test_the_page_is_for_this_machine_only(tracks: list[WindowTrack]) -> None:
@@ -335,20 +320,19 @@ def test_one_file_shows_the_same_without_a_network(
     browser: Any, tracks: list[WindowTrack], tmp_path: Path
 ) -> None:
     path = tmp_path / "page.html"
-    write_page(path, tracks, title="a <door>")
-    context = browser.new_context(viewport={"width": WIDTH, "height": HEIGHT})
+    write_page(path, tracks[:1], title="a <door>")
+    context = browser.new_context(viewport=TELEPHONE)
     context.set_offline(True)
     view = context.new_page()
     asked: list[str] = []
     view.on("request", lambda request: asked.append(request.url))
     view.goto(path.as_uri())
-    # it plays: the hinge is seen during the first window
+    panel = view.locator("#reframe-panel")
+    check_layouts(view, lambda: panel)
     wait_for(lambda: shows_the_scene(view))
     wait_for(lambda: shows_the_ellipsoid(view))
-    panel = view.locator("#reframe-panel")
     assert panel.get_by_text("a <door>").is_visible()
     assert panel.get_by_text("Revolute joint").first.is_visible()
-    panel.locator("summary").first.click()
     assert all(panel.locator("img").evaluate_all("images => images.map(image => image.naturalWidth > 0)"))
     drawn = [base64.b64decode(image).decode() for image in _IMAGE.findall(path.read_text())]
     assert [image.count('id="velocity"') for image in drawn] == [5, 3, 3]

@@ -142,12 +142,16 @@ def identify_unchecked(
             found = _on_mesh(run, array, steps, arrays)
         else:
             found = _on_host(run, array, steps, arrays)
-    found = narrow(found) if wide else found
-    if array.ndim == 3 and not inside_a_trace:
-        status = Status(int(found.status_code))
-        if status.failed:
-            raise ValueError(status.message)
-    return found
+    if inside_a_trace:
+        return found
+    found = narrow(found)
+    if array.ndim > 3:
+        return found
+    status = Status(int(found.status_code))
+    if status.failed:
+        raise ValueError(status.message)
+    # without the padding; NumPy needs no program for every length
+    return replace(found, counted=jax.device_put(np.asarray(found.counted)[: array.shape[0]]))
 
 
 def _warn_of_lost_rows(poses: np.ndarray, times: Any) -> None:
@@ -171,7 +175,7 @@ def _on_host(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Iden
 
     pad = not run.keywords["scales"]  # velocities of single steps must not see the padding
     found: Identification = run_in_pieces(of_piece, poses, steps, None, _CHUNK, pad)
-    return replace(found, counted=jax.lax.slice_in_dim(found.counted, 0, poses.shape[-3], axis=-1))
+    return replace(found, counted=found.counted[..., : poses.shape[-3]]) if poses.ndim > 3 else found
 
 
 def _is_distributed(poses: Any) -> bool:

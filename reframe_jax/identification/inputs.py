@@ -161,7 +161,8 @@ def run_in_pieces(
         pad: whether to pad windows to :func:`padded_size`, with copies of their last pose and step.
 
     Returns:
-        The results of ``run`` for all windows, with the leading axes of ``poses``.
+        The results of ``run`` for all windows, with the leading axes of ``poses``; NumPy arrays for a batch
+        on a CPU.
     """
     (*batch, length), count = poses.shape[:-2], math.prod(poses.shape[:-3])
     padded = padded_size(length, count <= _SINGLE) if pad else length
@@ -180,7 +181,7 @@ def run_in_pieces(
     windows = jax.tree.map(lambda a: a.reshape(-1, *a.shape[len(batch) :]), windows)
     if count <= _SINGLE:
         singles = jax.device_get([run_rows(row) for row in range(count)])
-        found = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *singles)
+        found = jax.tree.map(lambda *leaves: np.stack(leaves), *singles)
     else:
         chunk = chunks.get(jax.default_backend(), chunks["cpu"])
         found = _run_pieces(run_rows, count, chunk, chunk * max(1, _PIECE // (chunk * padded)))
@@ -209,9 +210,8 @@ def _run_pieces(run_rows: Callable[[Any, Any], Any], count: int, chunk: int, siz
             parts = list(pool.map(lambda *piece: jax.block_until_ready(run_piece(*piece)), starts, numbers))
     xp, parts = (np, jax.device_get(parts)) if on_cpu else (jnp, parts)  # NumPy compiles nothing
 
-    def join(*leaves: Any) -> jax.Array:
-        used = [leaf[:number] for leaf, number in zip(leaves, numbers, strict=True)]
-        return jnp.asarray(xp.concatenate(used))
+    def join(*leaves: Any) -> Any:
+        return xp.concatenate([leaf[:number] for leaf, number in zip(leaves, numbers, strict=True)])
 
     return jax.tree.map(join, *parts)
 

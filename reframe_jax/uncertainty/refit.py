@@ -111,18 +111,21 @@ def over_windows(
     wide = not isinstance(array, jax.Array) and array.dtype == np.float64
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = take_steps(array, times, dt).astype(array.dtype)
-        estimate = jax.tree.map(jnp.asarray, Estimate(*(getattr(found, name) for name in Estimate._fields)))
+        estimate = Estimate(*(getattr(found, name) for name in Estimate._fields))
+        tracing = inside_trace((array, steps, estimate))
+        # NumPy needs no program for every shape
+        xp = jnp if tracing or isinstance(array, jax.Array) else np
+        estimate = jax.tree.map(xp.asarray, estimate)
         estimate = jax.tree.map(
             lambda x: x.astype(array.dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, estimate
         )
-        tracing = inside_trace((array, steps, estimate))
         program = _program.in_trace if tracing else _program
         run = partial(program, function=function, scales=take_scales(scales, array.shape[-3]), **static)
         if tracing:
             result = run(array, steps, None, estimate, None)
         else:
             result = run_in_pieces(run, array, steps, estimate, _CHUNK, True)
-    return narrow(result) if wide else result
+    return result if tracing else narrow(result)
 
 
 def _run(
