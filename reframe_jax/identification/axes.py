@@ -50,15 +50,10 @@ class Frames(NamedTuple):
 def frames_of_entry(
     winner: Winner, bodies: Array, types: Types, live: Moments, total: Array, step: Array
 ) -> Frames:
-    """Return the frames of the reported entry of one window.
+    """Return the frames of the reported entry of one window, whose axes in both bodies are (2, 3, 3).
 
-    Args:
-        winner: the entry, with its parameters.
-        bodies: (2, 3, 3) axes of the entry in the ground and in the body.
-        types: the best frames of all types.
-        live: moments at the used scales, for the RMS velocities.
-        total: (27, 27) moments over the whole recording, for the amplitudes.
-        step: () s, mean duration of a step.
+    RMS velocities are those of the moments ``live`` of the used scales, for steps () of this duration, s.
+    Amplitudes are those of the moments ``total`` (27, 27) over the whole recording.
     """
     entry = entries_at(jnp.maximum(winner.code, 0))
     parameters = winner.parameters._replace(pitch=jnp.zeros_like(winner.parameters.pitch))

@@ -189,11 +189,7 @@ def _candidates(
 def _any_position(winner: Winner, bodies: Array, types: Types, linear_dof: Array | None) -> Array:
     """Return the projector (3, 3) onto the directions along which every origin is valid.
 
-    Args:
-        winner: the reported entry.
-        bodies: (2, 3, 3) its axes in the ground and in the body.
-        types: the best frames of all types.
-        linear_dof: (4, 3) degrees of freedom by thresholds; None if probabilities decide.
+    ``linear_dof`` (4, 3) are degrees of freedom by thresholds; None if probabilities decide.
     """
     known, kind = jnp.maximum(winner.code, 0), winner.kind
     columns = jnp.asarray(_ANY_ORIGIN)[known]

@@ -34,39 +34,23 @@ _CONSTANT = 1e-18  # m^2 or rad^2, variance below which numbers are constant
 
 
 class WindowStatistics(NamedTuple):
-    """Statistics of N windows that the evaluation of entries needs.
+    """Statistics of N windows that the evaluation of entries needs."""
 
-    Attributes:
-        spectra: statistics (S, 1, N) of the scales.
-        mean: (3, 3, N) mean rotation.
-        rotations: (3, 3, M, N) rotations of M poses of the window.
-        levers: (3, 3, 5, N) m^2, squared sensitivity to a rotation of every translation in ``PATHS``.
-        universal: moments of the coordinates of a universal joint.
-    """
-
-    spectra: Spectra
-    mean: Array
-    rotations: Array
-    levers: Array
-    universal: "UniversalMoments"
+    spectra: Spectra  # statistics (S, 1, N) of the scales
+    mean: Array  # (3, 3, N) mean rotation
+    rotations: Array  # (3, 3, M, N) rotations of M poses of the window
+    levers: Array  # (3, 3, 5, N) m^2, squared sensitivity to a rotation of every translation in ``PATHS``
+    universal: "UniversalMoments"  # of the coordinates of a universal joint
 
 
 class UniversalMoments(NamedTuple):
-    """Rotations of a universal joint: the angle between its axes, and the rotations about each axis.
+    """Rotations of a universal joint: the angle between its axes, and the rotations about each axis."""
 
-    Attributes:
-        ground: (3, N) axis a, fixed in the ground.
-        body: (3, N) axis b, fixed in the body.
-        form: (3, 3, S, N) moments of the three coordinates.
-        mixed: (3, 3, 4, 2, S, N) moments with the paths GB and BG, directions times (1, origin).
-        sine: (M, N) squared sine of the angle at M poses.
-    """
-
-    ground: Array
-    body: Array
-    form: Array
-    mixed: Array
-    sine: Array
+    ground: Array  # (3, N) axis a, fixed in the ground
+    body: Array  # (3, N) axis b, fixed in the body
+    form: Array  # (3, 3, S, N) moments of the three coordinates
+    mixed: Array  # (3, 3, 4, 2, S, N) moments with the paths GB and BG, directions times (1, origin)
+    sine: Array  # (M, N) squared sine of the angle at M poses
 
 
 def window_statistics(

@@ -60,43 +60,25 @@ _MOTIONS, _SLOW_ERRORS = _motions(), _slow_errors()
 
 
 class Spectra(NamedTuple):
-    """Statistics of the scales of a window.
+    """Statistics of the scales of a window."""
 
-    Attributes:
-        details: (S,) number of independent details, 0 at unused scales.
-        all_details: (S,) number of independent details, also at unused scales.
-        scale_weight: (S,) weight of a scale in the variance of a coordinate; 0 at unused scales.
-        white: (S,) variance of a detail for white noise of variance 1.
-        noise: (2,) m and rad, standard deviation of the white noise of a pose.
-    """
-
-    details: Array
-    all_details: Array
-    scale_weight: Array
-    white: Array
-    noise: Array
+    details: Array  # (S,) number of independent details, 0 at unused scales
+    all_details: Array  # (S,) number of independent details, also at unused scales
+    scale_weight: Array  # (S,) weight of a scale in the variance of a coordinate; 0 at unused scales
+    white: Array  # (S,) variance of a detail for white noise of variance 1
+    noise: Array  # (2,) m and rad, standard deviation of the white noise of a pose
 
 
 class Amplitudes(NamedTuple):
-    """The six coordinates of an entry.
+    """The six coordinates of an entry."""
 
-    Attributes:
-        square: (6,) mean square over the recording, m^2 or rad^2.
-        noise: (6,) part of ``square`` that is white noise.
-        variance: (6,) variance of the logarithm of ``square``.
-        independent: (6,) number of independent values.
-        lever: (6,) squared sensitivity to a rotation, m^2 or 1.
-        log_variance: (6,) mean over the scales of the logarithm of the variance.
-        consistency: () mean log |det| of the derivative of the coordinates with respect to the pose.
-    """
-
-    square: Array
-    noise: Array
-    variance: Array
-    independent: Array
-    lever: Array
-    log_variance: Array
-    consistency: Array
+    square: Array  # (6,) mean square over the recording, m^2 or rad^2
+    noise: Array  # (6,) part of ``square`` that is white noise
+    variance: Array  # (6,) variance of the logarithm of ``square``
+    independent: Array  # (6,) number of independent values
+    lever: Array  # (6,) squared sensitivity to a rotation, m^2 or 1
+    log_variance: Array  # (6,) mean over the scales of the logarithm of the variance
+    consistency: Array  # () mean log |det| of the derivative of the coordinates with respect to the pose
 
 
 class Coordinates(NamedTuple):

@@ -226,21 +226,13 @@ def _expand(coefficients: Array, counts: Array, x: Array) -> tuple[Array, Array,
 
 
 class _Point(NamedTuple):
-    """State of Newton's steps.
+    """State of Newton's steps."""
 
-    Attributes:
-        origin: (3, T, 1, N) m.
-        axes: (3, 3, T, 1, N) principal axes of the Hessian at the last origin, as columns.
-        damping: (T, 1, N), a fraction of the tangent.
-        norm: (T, 1, N) F at the origin.
-        moving: (T, 1, N) bool, whether the origin takes another step.
-    """
-
-    origin: Array
-    axes: Array
-    damping: Array
-    norm: Array
-    moving: Array
+    origin: Array  # (3, T, 1, N) m
+    axes: Array  # (3, 3, T, 1, N) principal axes of the Hessian at the last origin, as columns
+    damping: Array  # (T, 1, N), a fraction of the tangent
+    norm: Array  # (T, 1, N) F at the origin
+    moving: Array  # (T, 1, N) bool, whether the origin takes another step
 
 
 def _newton_step(coefficients: Array, counts: Array, box: Array, at: _Point) -> _Point:

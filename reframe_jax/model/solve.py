@@ -150,23 +150,14 @@ def solve_windows(
 
 
 class _Comparison(NamedTuple):
-    """Data of the comparison of entries.
+    """Data of the comparison of entries."""
 
-    Attributes:
-        moments: moments of every kind of translation.
-        forms: the same moments about the origins of the search.
-        starts: unknowns of every entry, with axes (E, N) last.
-        details: (S, N) independent details of every scale.
-        tilt_scale: (N,) rad.
-        box: (N,) m.
-    """
-
-    moments: EntryMoments
-    forms: Forms
-    starts: Unknowns
-    details: Array
-    tilt_scale: Array
-    box: Array
+    moments: EntryMoments  # of every kind of translation
+    forms: Forms  # the same moments about the origins of the search
+    starts: Unknowns  # of every entry, with axes (E, N) last
+    details: Array  # (S, N) independent details of every scale
+    tilt_scale: Array  # (N,) rad
+    box: Array  # (N,) m
 
 
 class _Evaluated(NamedTuple):
