@@ -31,16 +31,18 @@ SCRIPT = """
             return Solution(x, value, jnp.ones_like(value))
 
     # with thresholds, the table is not compared: a third of the program
-    identify = functools.partial(rf.identify, solver=OneStep(), thresholds=rf.Thresholds())
+    identify = functools.partial(rf.identify, solver=OneStep())
+    by_thresholds = functools.partial(identify, thresholds=rf.Thresholds())
     # each combination below compiles a program: equal times on one device; own times on three, in more than
     # one piece on a device, the last of them not full, with rows of several windows
     steps = np.linspace(0.1, 0.2, 12)[:, None] * np.ones((1, poses.shape[1] - 1))
-    for count, dt, copies, rows in ((1, 0.1, 1, (12,)), (3, steps, 77, (84, 11))):
+    cases = (1, by_thresholds, 0.1, 1, (12,)), (3, identify, steps, 77, (84, 11))
+    for count, find, dt, copies, rows in cases:
         mesh = jax.make_mesh((count,), ("windows",), devices=jax.devices()[:count])
         sharding = jax.NamedSharding(mesh, jax.P("windows"))
         many = np.tile(poses, (copies, 1, 1, 1)).reshape(*rows, *poses.shape[1:])
         own = dt if count == 1 else np.tile(dt, (copies, 1)).reshape(*rows, -1)
-        found, alone = identify(jax.device_put(many, sharding), dt=own), identify(poses, dt=dt)
+        found, alone = find(jax.device_put(many, sharding), dt=own), find(poses, dt=dt)
         assert len(np.unique(np.round(alone.linear.norm, 9))) == 12
         assert found.linear.norm.shape == rows
         assert len(found.linear.norm.sharding.device_set) == count
@@ -48,10 +50,10 @@ SCRIPT = """
         np.testing.assert_allclose(norms, np.tile(alone.linear.norm, copies), rtol=1e-9)
         np.testing.assert_allclose(positions, np.tile(alone.linear.position, (copies, 1)), atol=1e-6)
     np.testing.assert_array_equal(found.name.ravel(), np.tile(alone.name, copies))
-    expected = identify(poses, dt=0.1)
+    expected = by_thresholds(poses, dt=0.1)
     # on all devices, and a sharding that says so for every axis, which uses the same program
     for spec in (jax.P(), jax.P(None, None, None, None)):
-        everywhere = identify(jax.device_put(poses, jax.NamedSharding(mesh, spec)), dt=0.1)
+        everywhere = by_thresholds(jax.device_put(poses, jax.NamedSharding(mesh, spec)), dt=0.1)
         np.testing.assert_allclose(everywhere.linear.norm, expected.linear.norm, rtol=1e-9)
 """
 

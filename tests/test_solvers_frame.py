@@ -43,9 +43,9 @@ class TestFrameSteps:
             exact = np.asarray(axes @ rotation_exp(jnp.asarray(d)))
             assert np.max(np.abs(turned - exact)) < np.linalg.norm(d) ** 3
 
-    def test_agrees_with_the_elimination_of_the_rotation(self, moments):
+    @pytest.mark.parametrize("exponent", [0.0, -1.0])
+    def test_agrees_with_the_elimination_of_the_rotation(self, moments, exponent):
         """Six unknowns and three: the same optimum; and angular velocities, whose optimum is closed form."""
-        exponent = -1.0  # the geometric mean has closed-form axes, and is searched by ValleySteps only
         solver = BasinHopping(FrameSteps(10), restarts=8, hops=2)
 
         @compiled()
@@ -58,8 +58,8 @@ class TestFrameSteps:
         found, valley = norms(moments)
         assert found.x.shape == (6, 4)
         np.testing.assert_allclose(found.value, valley.value, atol=1e-8)
-        # the valley is flat: rounding decides where in it a search ends
-        np.testing.assert_allclose(found.x[3:], valley.x, atol=1e-5)
+        # the valley of -1 is flat: rounding decides where in it a search ends
+        np.testing.assert_allclose(found.x[3:], valley.x, atol=1e-5 if exponent < 0 else 1e-6)
         turns = Box(FRAMES.low[:3], FRAMES.high[:3])
         angular = compiled(lambda m: solver.minimise(FrameObjective(m, exponent), turns, KEY))(moments[:, :1])
         variances = np.linalg.eigvalsh(np.asarray(to_matrix(tuple(moments[:, 0]))))

@@ -212,8 +212,7 @@ def shows_the_ellipsoid(page: Any) -> bool:
     return bool(pale.sum() > 200)
 
 
-SIZES = [(390, 844), (WIDTH, HEIGHT)]  # a telephone and a desktop
-TELEPHONE = {"width": 390, "height": 844}
+TELEPHONE, DESKTOP = {"width": 390, "height": 844}, {"width": WIDTH, "height": HEIGHT}
 _PLACES = """() => {
   const scene = [...document.querySelectorAll("canvas")].map(e => e.getBoundingClientRect())
     .sort((a, b) => b.width * b.height - a.width * a.height)[0];
@@ -244,10 +243,10 @@ def check_layout(view: Any, width: int, height: int, heading: Any) -> None:
 
 def check_layouts(view: Any, heading: Callable[[], Any]) -> None:
     """Check the layout of a loaded page with the size of a telephone, and then of a desktop."""
-    for width, height in SIZES:
-        view.set_viewport_size({"width": width, "height": height})
+    for size in (TELEPHONE, DESKTOP):
+        view.set_viewport_size(size)
         wait_for(lambda: view.get_by_text("residuals").first.is_visible())
-        check_layout(view, width, height, heading())
+        check_layout(view, size["width"], size["height"], heading())
 
 
 def test_the_page_shows_the_window_beside_a_panel_and_needs_no_network(
@@ -288,6 +287,16 @@ def test_the_page_shows_the_window_beside_a_panel_and_needs_no_network(
         page.close()
 
 
+def test_the_panel_of_a_file_does_not_cover_the_scene(
+    browser: Any, tracks: list[WindowTrack], tmp_path: Path
+) -> None:
+    write_page(tmp_path / "page.html", tracks[:1], title="door.csv")
+    view = browser.new_page(viewport=TELEPHONE)
+    view.goto((tmp_path / "page.html").as_uri())
+    check_layouts(view, lambda: view.locator("#reframe-panel"))
+    view.close()
+
+
 def test_the_page_is_for_this_machine_only(tracks: list[WindowTrack]) -> None:
     """A server on all addresses would answer at 127.0.0.2 too."""
     pytest.importorskip("viser", reason="needs viser")
@@ -320,19 +329,20 @@ def test_one_file_shows_the_same_without_a_network(
     browser: Any, tracks: list[WindowTrack], tmp_path: Path
 ) -> None:
     path = tmp_path / "page.html"
-    write_page(path, tracks[:1], title="a <door>")
-    context = browser.new_context(viewport=TELEPHONE)
+    write_page(path, tracks, title="a <door>")
+    context = browser.new_context(viewport=DESKTOP)
     context.set_offline(True)
     view = context.new_page()
     asked: list[str] = []
     view.on("request", lambda request: asked.append(request.url))
     view.goto(path.as_uri())
-    panel = view.locator("#reframe-panel")
-    check_layouts(view, lambda: panel)
+    # it plays: the hinge is seen during the first window
     wait_for(lambda: shows_the_scene(view))
     wait_for(lambda: shows_the_ellipsoid(view))
+    panel = view.locator("#reframe-panel")
     assert panel.get_by_text("a <door>").is_visible()
     assert panel.get_by_text("Revolute joint").first.is_visible()
+    panel.locator("summary").first.click()
     assert all(panel.locator("img").evaluate_all("images => images.map(image => image.naturalWidth > 0)"))
     drawn = [base64.b64decode(image).decode() for image in _IMAGE.findall(path.read_text())]
     assert [image.count('id="velocity"') for image in drawn] == [5, 3, 3]

@@ -115,9 +115,8 @@ def over_windows(
         tracing = inside_trace((array, steps, estimate))
         # NumPy needs no program for every shape
         xp = jnp if tracing or isinstance(array, jax.Array) else np
-        estimate = jax.tree.map(xp.asarray, estimate)
         estimate = jax.tree.map(
-            lambda x: x.astype(array.dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, estimate
+            lambda x: xp.asarray(x, array.dtype if jnp.issubdtype(x.dtype, jnp.floating) else None), estimate
         )
         program = _program.in_trace if tracing else _program
         run = partial(program, function=function, scales=take_scales(scales, array.shape[-3]), **static)
