@@ -63,6 +63,18 @@ def test_an_interrupted_run_resumes_and_ends_with_the_same_bytes(windows, tmp_pa
     equal(rf.load_results(whole), rf.load_results(resumed))
 
 
+def test_no_windows_have_an_empty_result(windows):
+    none = windows[:0]
+    found = rf.identify(none, dt=0.1)
+    assert (found.linear.position.shape, found.name.shape, found.counted.shape) == (
+        (0, 3),
+        (0,),
+        none.shape[:2],
+    )
+    assert rf.covariance(found, none, dt=0.1).matrix.shape == (0, 9, 9)
+    assert rf.identify(none[None], dt=0.1).linear.position.shape == (1, 0, 3)
+
+
 def test_an_iterator_that_breaks_keeps_its_parts_and_can_resume(windows, tmp_path):
     def broken():
         yield from windows[:20]

@@ -136,7 +136,7 @@ def identify_unchecked(
             discretization=discretization,
             solver=solver,
         )
-        if inside_a_trace or 0 in array.shape[:-3]:
+        if inside_a_trace:
             found = run(array, steps, None, arrays, None)
         elif array.ndim > 3 and _is_distributed(array):
             found = _on_mesh(run, array, steps, arrays)

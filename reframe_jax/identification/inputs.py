@@ -178,10 +178,12 @@ def run_in_pieces(
     windows = poses, steps, others
     if not batch:
         return run_rows(...)
-    windows = jax.tree.map(lambda a: a.reshape(-1, *a.shape[len(batch) :]), windows)
+    windows = jax.tree.map(lambda a: a.reshape(count, *a.shape[len(batch) :]), windows)
+    if count == 0:  # one window of zeros has the shapes of the result
+        windows = jax.tree.map(lambda a: np.zeros((1, *a.shape[1:]), a.dtype), windows)
     if count <= _SINGLE:
-        singles = jax.device_get([run_rows(row) for row in range(count)])
-        found = jax.tree.map(lambda *leaves: np.stack(leaves), *singles)
+        singles = jax.device_get([run_rows(row) for row in range(max(count, 1))])
+        found = jax.tree.map(lambda *leaves: np.stack(leaves)[:count], *singles)
     else:
         chunk = chunks.get(jax.default_backend(), chunks["cpu"])
         found = _run_pieces(run_rows, count, chunk, chunk * max(1, _PIECE // (chunk * padded)))
@@ -208,12 +210,19 @@ def _run_pieces(run_rows: Callable[[Any, Any], Any], count: int, chunk: int, siz
         run_piece(0, 0)  # compiles the program
         with ThreadPoolExecutor(threads) as pool:
             parts = list(pool.map(lambda *piece: jax.block_until_ready(run_piece(*piece)), starts, numbers))
-    xp, parts = (np, jax.device_get(parts)) if on_cpu else (jnp, parts)  # NumPy compiles nothing
+    return _join(jax.device_get(parts), tuple(numbers), np) if on_cpu else _join_on_gpu(parts, tuple(numbers))
+
+
+def _join(parts: list[Any], numbers: tuple[int, ...], xp: Any = jnp) -> Any:
+    """Concatenate parts, pytrees of arrays, of which only the first ``numbers`` rows count."""
 
     def join(*leaves: Any) -> Any:
         return xp.concatenate([leaf[:number] for leaf, number in zip(leaves, numbers, strict=True)])
 
     return jax.tree.map(join, *parts)
+
+
+_join_on_gpu = jax.jit(_join, static_argnums=1)  # eagerly, every shape would be a program; NumPy has none
 
 
 def map_windows(

@@ -19,19 +19,12 @@ _LONGEST = 0.5  # rad and m, length of a step
 
 
 class Local(NamedTuple):
-    """An objective about a point, G groups of unknowns.
+    """An objective about a point, G groups of unknowns."""
 
-    Attributes:
-        value: (...) the objective.
-        gradient: (3, G, ...) half its gradient.
-        diagonal: (3, 3, G, ...) half the Hessian of every group.
-        coupling: (3, 3, G - 1, ...) half the Hessian of the first group with every other group.
-    """
-
-    value: Array
-    gradient: Array
-    diagonal: Array
-    coupling: Array
+    value: Array  # (...) the objective
+    gradient: Array  # (3, G, ...) half its gradient
+    diagonal: Array  # (3, 3, G, ...) half the Hessian of every group
+    coupling: Array  # (3, 3, G - 1, ...) half the Hessian of the first group with every other group
 
 
 def levenberg_marquardt(

@@ -82,22 +82,14 @@ class Amplitudes(NamedTuple):
 
 
 class Coordinates(NamedTuple):
-    """Moments of the six coordinates of an entry, components first and problems last.
+    """Moments of the six coordinates of an entry, components first and problems last."""
 
-    Attributes:
-        turns, shifts: (3, 3, S, ...) moments of the rotations, and of the translations.
-        mixed: (3, 3, S, ...) moments of rotations with translations.
-        levers: (2, 3, 3, ...) moments of the sensitivities of rotations and translations to a rotation.
-        gain: (6, ...) squared sensitivity to a position.
-        consistency: (...) mean log |det| of the derivative of the coordinates with respect to the pose.
-    """
-
-    turns: Array
-    shifts: Array
-    mixed: Array
-    levers: Array
-    gain: Array
-    consistency: Array
+    turns: Array  # (3, 3, S, ...) moments of the rotations
+    shifts: Array  # (3, 3, S, ...) moments of the translations
+    mixed: Array  # (3, 3, S, ...) moments of rotations with translations
+    levers: Array  # (2, 3, 3, ...) moments of the sensitivities of rotations and translations to a rotation
+    gain: Array  # (6, ...) squared sensitivity to a position
+    consistency: Array  # (...) mean log |det| of the derivative of the coordinates with respect to the pose
 
 
 def _diagonal(outer: Array, form: Array) -> Array:

@@ -33,41 +33,29 @@ Array = jax.Array
 
 
 class Unknowns(NamedTuple):
-    """Arrays ``frame`` (3, 3, ...), ``origin`` (3, ...) m, ``tilt`` (2, ...) rad, ``pitch`` (...), m/rad."""
+    """Unknowns of the fit of many problems."""
 
-    frame: Array
-    origin: Array
-    tilt: Array
-    pitch: Array
+    frame: Array  # (3, 3, ...)
+    origin: Array  # (3, ...) m
+    tilt: Array  # (2, ...) rad
+    pitch: Array  # (...) m/rad
 
 
 class Problem(NamedTuple):
-    """Data of a fit, in the axes of the main body.
+    """Data of a fit, in the axes of the main body."""
 
-    Attributes:
-        turns: (3, 3, S, ...) moments of the rotation.
-        paths: (3, 4, 3, 4, S, ...) moments of the translation: direction times (1, origin), twice.
-        rows: (6, 6, S, ...) moments of the position of the body, and of the rotation.
-        held_turns, held_paths: (3, ...) bool, whether each rotation and translation is held.
-        held_row: (...) bool, whether the position along the axis is held.
-        pitch, tilted, tie: (...) bool, whether there is a pitch or a tilt, and whether a tilt has a cost.
-        details: (S, ...) number n_s of independent details.
-        scale: (...) rad, size of the tilt.
-        box: (...) m, half the width of the cube of origins.
-    """
-
-    turns: Array
-    paths: Array
-    rows: Array
-    held_turns: Array
-    held_paths: Array
-    held_row: Array
-    pitch: Array
-    tilted: Array
-    tie: Array
-    details: Array
-    scale: Array
-    box: Array
+    turns: Array  # (3, 3, S, ...) moments of the rotation
+    paths: Array  # (3, 4, 3, 4, S, ...) moments of the translation: direction times (1, origin), twice
+    rows: Array  # (6, 6, S, ...) moments of the position of the body, and of the rotation
+    held_turns: Array  # (3, ...) bool, whether each rotation is held
+    held_paths: Array  # (3, ...) bool, whether each translation is held
+    held_row: Array  # (...) bool, whether the position along the axis is held
+    pitch: Array  # (...) bool, whether there is a pitch
+    tilted: Array  # (...) bool, whether there is a tilt
+    tie: Array  # (...) bool, whether a tilt has a cost
+    details: Array  # (S, ...) number n_s of independent details
+    scale: Array  # (...) rad, size of the tilt
+    box: Array  # (...) m, half the width of the cube of origins
 
 
 def tilted_axis(tilt: Array) -> Array:
