@@ -44,9 +44,11 @@ del gc, os, jax, reframe_jax
 SMALLER = {
     "np.logspace(-6, -3, 7), 75": "np.logspace(-6, -3, 7), 5",
     "maxiter=100": "maxiter=1",
+    "[0, 3, 6], np.empty((4, 3))": "[0, 6], np.empty((4, 2))",
     "part_size=512": "part_size=64",
     "BATCH = 32": "BATCH = 8",
     "joint_positions[0, ::2]": "joint_positions[0, ::10]",
+    'for label in "ABI"': 'for label in "AI"',
 }
 
 
