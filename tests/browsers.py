@@ -14,7 +14,14 @@ import pytest
 __all__ = ["headless_browser", "near", "picture", "wait_for"]
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-_FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--webgl-antialiasing-mode=none", "--webgl-msaa-sample-count=0"]
+_FLAGS = [
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--webgl-antialiasing-mode=none",
+    "--webgl-msaa-sample-count=0",
+]
 _LONG = 90  # s, after which a page does not come up any more
 
 

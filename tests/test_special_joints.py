@@ -25,11 +25,11 @@ def signal(rng, size):
     return size * made / np.std(made)
 
 
-def with_noise(rng, rotation, position):
+def with_noise(rng, rotation, position, noise=NOISE):
     """Poses (51, 4, 4) with noise in m, and three times as much in rad."""
     poses = np.tile(np.eye(4), (POSES, 1, 1))
-    poses[:, :3, :3] = (Rotation.from_rotvec(3 * NOISE * rng.normal(size=(POSES, 3))) * rotation).as_matrix()
-    poses[:, :3, 3] = position + NOISE * rng.normal(size=(POSES, 3))
+    poses[:, :3, :3] = (Rotation.from_rotvec(3 * noise * rng.normal(size=(POSES, 3))) * rotation).as_matrix()
+    poses[:, :3, 3] = position + noise * rng.normal(size=(POSES, 3))
     return poses
 
 
@@ -44,12 +44,12 @@ def on_screw(rng, pitch):
     return with_noise(rng, turn * Rotation.random(random_state=rng), position), axis
 
 
-def on_universal(rng):
+def on_universal(rng, second=0.4, noise=NOISE):
     """Poses on a universal joint, and its axes in the ground and in the body."""
     outer, inner = Rotation.random(random_state=rng), Rotation.random(random_state=rng)
-    turns = [np.outer(signal(rng, size), axis) for size, axis in ((0.5, [1, 0, 0]), (0.4, [0, 1, 0]))]
+    turns = [np.outer(signal(rng, size), axis) for size, axis in ((0.5, [1, 0, 0]), (second, [0, 1, 0]))]
     rotation = outer * Rotation.from_rotvec(turns[0]) * Rotation.from_rotvec(turns[1]) * inner
-    poses = with_noise(rng, rotation, -rotation.apply([0.1, 0.05, -0.08]))
+    poses = with_noise(rng, rotation, -rotation.apply([0.1, 0.05, -0.08]), noise)
     return poses, (outer.apply([1, 0, 0]), inner.inv().apply([0, 1, 0]))
 
 
@@ -135,6 +135,15 @@ def test_universal_joints_with_large_rotations_are_named():
     rng = np.random.default_rng(0)
     found = rf.identify(np.stack([on_wide_universal(rng) for _ in range(36)]), dt=DT)
     assert np.mean(found.name == "Universal joint") >= 0.9
+
+
+def test_universal_joints_are_named_if_one_rotation_is_small():
+    """The angle between nearly parallel axes changes less than the noise; such axes describe no joint."""
+    rng = np.random.default_rng(1)
+    poses = np.stack([on_universal(rng, second=0.05, noise=1e-3)[0] for _ in range(36)])
+    assert np.mean(rf.identify(poses, dt=DT).name == "Universal joint") >= 0.9
+    ground, body = np.moveaxis(rf.identify(poses, dt=DT, assume="universal joint").universal_axes, 1, 0)
+    assert np.all(np.abs(np.einsum("ni,nij,nj->n", ground, poses[:, :, :3, :3].mean(axis=1), body)) < 0.5)
 
 
 def test_a_universal_joint_is_named_with_its_axes(made, found):

@@ -2,8 +2,8 @@
 
 The angle between an axis a of the ground and an axis b of the body is constant: a'R b is a held coordinate
 with variance c_s(a, b), bilinear in the moments of R. Levenberg-Marquardt steps minimise sum_s n_s log c_s. A
-penalty keeps the mean angle near a right angle: axes at any other angle may fit a short motion by chance, and
-parallel axes fit every motion.
+penalty -log sin^2 keeps the mean angle near a right angle: axes at any other angle may fit a short motion by
+chance, and parallel axes fit every motion.
 """
 
 import jax
@@ -15,7 +15,7 @@ from reframe_jax.model.descent import Local, levenberg_marquardt
 
 Array = jax.Array
 _LEFT, _RIGHT = np.array([0, 1, 0], np.int32), np.array([0, 1, 1], np.int32)  # axes of a block
-_APART = 3.0  # penalty on the squared cosine of the mean angle, per independent detail
+_APART = 3.0  # factor of the penalty, per independent detail
 
 
 def promising_pairs(
@@ -35,7 +35,7 @@ def promising_pairs(
     half = total(of_ground[:, :, :, None] * body[:, None, None, :, None], 0)
     size = total(half * body[:, None, :, None], 0) + jnp.finfo(forms.dtype).tiny ** 0.5
     cosine = times(jnp.swapaxes(ground, 0, 1), times(mean, body))
-    value = total(details * jnp.log(size), 2) + _APART * total(details, 0) * cosine * cosine
+    value = total(details * jnp.log(size), 2) - _APART * total(details, 0) * jnp.log(_square_of_sine(cosine))
     best = jax.lax.top_k(-value.reshape(9, -1).T, 3)[1].T
     first, second = (pick(v, i, 1) for v, i in ((ground, best // 3), (body, best % 3)))
     return first, second
@@ -65,14 +65,15 @@ def crossed_axes(
         blocks = jnp.stack([total(m * weight, 2) for m in (of_ground, of_body, both)], axis=2)
         turned = jnp.stack([times(mean, b), times(jnp.swapaxes(mean, 0, 1), a)], axis=1)
         cosine = total(a * turned[:, 0], 0)
+        rest = _square_of_sine(cosine)
         pull = materialize(keep * turned)
         pair = jnp.stack([a, b], axis=1)
         along = pair[:, None] * pair[None]  # (3, 3, 2, ...)
         flat = materialize(unit[:, :, None] - along)
-        gradient = times(blocks[:, :, :2], pair) + cosine * pull
-        bent = blocks + pull[:, None, _LEFT] * turned[None, :, _RIGHT]
+        gradient = times(blocks[:, :, :2], pair) + cosine / rest * pull
+        bent = blocks + (2 - rest) / (rest * rest) * pull[:, None, _LEFT] * turned[None, :, _RIGHT]
         bent = times(times(flat[:, :, _LEFT], bent), flat[:, :, _RIGHT])
-        value = total(details * jnp.log(size), 0) + keep * cosine * cosine
+        value = total(details * jnp.log(size), 0) - keep * jnp.log(rest)
         diagonal = bent[:, :, :2] + along * trace(bent[:, :, :2])
         return Local(value, times(flat, gradient), diagonal, bent[:, :, 2:])
 
@@ -81,3 +82,7 @@ def crossed_axes(
 
     (a, b), value = levenberg_marquardt(expand, move, (ground, body), jnp.zeros_like(ground[0]), 2, steps)
     return a, b, value
+
+
+def _square_of_sine(cosine: Array) -> Array:
+    return jnp.maximum(1 - cosine * cosine, 1e-6)
