@@ -19,14 +19,14 @@ _APART = 3.0  # factor of the penalty, per independent detail
 
 
 def promising_pairs(
-    forms: Array, details: Array, mean: Array, ground: Array, body: Array
+    forms: Array, details: Array, mean_matrix: Array, ground: Array, body: Array
 ) -> tuple[Array, Array]:
     """Choose, from nine pairs of axes, the three with the lowest objective: a (3, 3, N) and b (3, 3, N).
 
     Args:
         forms: (3, 3, 3, 3, S, N) moments of R, entry by entry.
         details: (S, N) number of independent details of each scale.
-        mean: (3, 3, N) mean rotation.
+        mean_matrix: (3, 3, N) mean of all R; a'E[R]b is the mean cosine of the angle between the axes.
         ground: (3, 3, N) axes of the ground, as columns.
         body: (3, 3, N) axes of the body, as columns.
     """
@@ -34,7 +34,7 @@ def promising_pairs(
     of_ground = total(of_ground * ground[:, None, :, None], 1)  # (j, l, a, S, N)
     half = total(of_ground[:, :, :, None] * body[:, None, None, :, None], 0)
     size = total(half * body[:, None, :, None], 0) + jnp.finfo(forms.dtype).tiny ** 0.5
-    cosine = times(jnp.swapaxes(ground, 0, 1), times(mean, body))
+    cosine = times(jnp.swapaxes(ground, 0, 1), times(mean_matrix, body))
     value = total(details * jnp.log(size), 2) - _APART * total(details, 0) * jnp.log(_square_of_sine(cosine))
     best = jax.lax.top_k(-value.reshape(9, -1).T, 3)[1].T
     first, second = (pick(v, i, 1) for v, i in ((ground, best // 3), (body, best % 3)))
@@ -42,7 +42,7 @@ def promising_pairs(
 
 
 def crossed_axes(
-    forms: Array, details: Array, mean: Array, ground: Array, body: Array, steps: int
+    forms: Array, details: Array, mean_matrix: Array, ground: Array, body: Array, steps: int
 ) -> tuple[Array, Array, Array]:
     """Fit the two axes of a universal joint, from axes ``ground`` and ``body``, (3, ...).
 
@@ -63,7 +63,7 @@ def crossed_axes(
         size = total(total(of_ground * a[:, None, None], 0) * a[:, None], 0) + small
         weight = details / size
         blocks = jnp.stack([total(m * weight, 2) for m in (of_ground, of_body, both)], axis=2)
-        turned = jnp.stack([times(mean, b), times(jnp.swapaxes(mean, 0, 1), a)], axis=1)
+        turned = jnp.stack([times(mean_matrix, b), times(jnp.swapaxes(mean_matrix, 0, 1), a)], axis=1)
         cosine = total(a * turned[:, 0], 0)
         rest = _square_of_sine(cosine)
         pull = materialize(keep * turned)

@@ -32,12 +32,14 @@ class Features(NamedTuple):
         values: (N, 27, P) features of every pose; positions are relative to their mean.
         to_position: (N, M, 27, 3) derivatives by the position, at M poses of the window.
         to_rotation: (N, M, 27, 3) derivatives by a small rotation in {b}, rad, at the same poses.
-        mean_rotation: (N, 3, 3) the rotation nearest to the mean of all R.
+        mean_matrix: (N, 3, 3) mean of all R.
+        mean_rotation: (N, 3, 3) the rotation nearest to it.
     """
 
     values: jax.Array
     to_position: jax.Array
     to_rotation: jax.Array
+    mean_matrix: jax.Array
     mean_rotation: jax.Array
 
 
@@ -59,12 +61,12 @@ def pose_features(
     rows += [turns[:, 0], shifts[:, 0], turns[:, 1], shifts[:, 1]]
     values = jnp.moveaxis(jnp.concatenate(rows), -1, 0)
     weight = counted.astype(values.dtype)
-    mean = jnp.sum(rotation * weight, axis=2) / jnp.sum(weight, axis=0)
-    mean = jnp.moveaxis(nearest_rotation(mean), -1, 0)
+    matrix = jnp.sum(rotation * weight, axis=2) / jnp.sum(weight, axis=0)
+    means = (jnp.moveaxis(mean, -1, 0) for mean in (matrix, nearest_rotation(matrix)))
     last = jnp.full(position.shape[-1], position.shape[1] - 1) if count is None else count - 1
     chosen = (last[:, None] * np.linspace(0, 1, _SENSITIVE)).astype(jnp.int32)
     here = jnp.swapaxes(pick(values, chosen[:, None], 2), 1, 2)
-    return Features(values, *_sensitivity(here), mean)
+    return Features(values, *_sensitivity(here), *means)
 
 
 def nearest_rotation(matrix: jax.Array) -> jax.Array:

@@ -136,8 +136,11 @@ def objective(parameters: Parameters, data: Data, entry: Table, scale: Array, ti
     return value + _tilt_cost(parameters.tilt, data, scale, tie)
 
 
-def fit_entry(start: Parameters, data: Data, entry: Table) -> Parameters:
-    """Fit an entry, a row of the table, to a window from starting parameters; a tilt has no cost."""
+def fit_entry(start: Parameters, data: Data, entry: Table, mean_matrix: Array) -> Parameters:
+    """Fit an entry, a row of the table, to a window from starting parameters; a tilt has no cost.
+
+    ``mean_matrix`` (3, 3) is the mean of all R.
+    """
     body = in_body(entry)
     moments = entry_moments(jnp.moveaxis(data.products, 0, -1), data.mean_rotation).pick(entry.path[None])
     moments = EntryMoments(*(leaf[..., 0] for leaf in moments))
@@ -151,7 +154,7 @@ def fit_entry(start: Parameters, data: Data, entry: Table) -> Parameters:
     axes = jnp.where(body, found.frame, data.mean_rotation.T @ found.frame)
     forms = rotation_forms(jnp.moveaxis(data.products, 0, -1))
     a, b = ground[:, 2], start.axes[:, 0]
-    a, b, _ = crossed_axes(forms, data.details, data.mean_rotation, a, b, 2 * STEPS)
+    a, b, _ = crossed_axes(forms, data.details, mean_matrix, a, b, 2 * STEPS)
     cross_axes, cross_tilt = crossed_frame(a, b, data.mean_rotation)
     return Parameters(
         jnp.where(entry.crossed, cross_axes, axes),

@@ -128,7 +128,7 @@ def solve_windows(
     turns = jnp.stack([products[r, r] for r in (z.TURN_GROUND, z.TURN_BODY)], axis=3)
     axes = common_frames(paths, turns, products[z.POSITION, z.POSITION], details, scale_weight)
     all_scales = total(products * scale_weight, 2)
-    crossed = universal_axes(axes, products, details, mean)
+    crossed = universal_axes(axes, products, details, jnp.moveaxis(features.mean_matrix, 0, -1))
     starts = entry_starts(place, axes, crossed, all_scales, mean)
     solved = Solved(
         log_probability=jnp.full((len(noise), len(ENTRIES)), jnp.nan, products.dtype),

@@ -81,20 +81,20 @@ def common_frames(paths: Array, turns: Array, position: Array, details: Array, s
     return Axes(axes[:, :, :4], axes[:, :, 4:6], axes[:, :, 6])
 
 
-def universal_axes(axes: Axes, products: Array, details: Array, mean: Array) -> tuple[Array, Array]:
+def universal_axes(axes: Axes, products: Array, details: Array, mean_matrix: Array) -> tuple[Array, Array]:
     """Find the axes a of the ground and b of the body, (3, N), whose angle changes least.
 
     Args:
         axes: common axes.
         products: (27, 27, S, N) moments of the features.
         details: (S, N) independent details of every scale.
-        mean: (3, 3, N) mean rotation.
+        mean_matrix: (3, 3, N) mean of all R.
     """
     forms = rotation_forms(products)
     ground, body = axes.angular[:, :, AngularType.G], axes.angular[:, :, AngularType.B]
-    a, b = promising_pairs(forms, details, mean, ground, body)
+    a, b = promising_pairs(forms, details, mean_matrix, ground, body)
     forms = forms[:, :, :, :, :, None]
-    a, b, value = crossed_axes(forms, details[:, None], mean[:, :, None], a, b, _CROSS_STEPS)
+    a, b, value = crossed_axes(forms, details[:, None], mean_matrix[:, :, None], a, b, _CROSS_STEPS)
     best = jnp.argmin(value, axis=0)[None]
     return pick(a, best, 1)[:, 0], pick(b, best, 1)[:, 0]
 

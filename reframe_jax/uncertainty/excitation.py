@@ -96,7 +96,7 @@ def excitation(
 
 
 def _window_excitations(window: Prepared, windows: Windows, *, scales: tuple[int, ...] | None) -> Excitation:
-    _, used, mean_rotation, entry, start, found, _ = windows
+    _, used, _, mean_rotation, entry, start, found, _ = windows
     straight = start._replace(pitch=jnp.zeros_like(start.pitch))
     weights = jax.vmap(coordinates)(straight, mean_rotation, entry)
     # differences of block means, divided by the block length, are velocities in m or rad per sample

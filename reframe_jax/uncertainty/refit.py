@@ -54,7 +54,8 @@ class Windows(NamedTuple):
 
     box: Array  # (N,) m, half the width of the cube of origins
     moments: Moments  # of the used scales
-    mean_rotation: Array  # (N, 3, 3)
+    mean_matrix: Array  # (N, 3, 3) mean of all R
+    mean_rotation: Array  # (N, 3, 3) the rotation nearest to it
     entry: Table  # (N,) rows of the table of constraints
     start: Parameters  # initial parameters
     found: Estimate  # the identified frames
@@ -152,7 +153,8 @@ def _run(
             entry = jax.vmap(entries_at)(jnp.maximum(found.entry_code, 0))
             axes = rotation_exp(jnp.stack([found.angular.rotvec, found.linear.rotvec], axis=1))
             start = jax.vmap(_start)(found, axes, window.centre, mean, entry)
-            windows = Windows(window.box, used, mean, entry, start, found, axes)
+            matrix = window.features.mean_matrix
+            windows = Windows(window.box, used, matrix, mean, entry, start, found, axes)
             return function(window, windows, scales=scales, **static)
 
     return map_windows(of_windows, (poses, steps, found), len(batch), _CHUNK, number)
@@ -225,11 +227,11 @@ def _moments_of_parts(window: Prepared, parts: str, about_mean: bool) -> tuple[M
 
 def _fit_window(window: Windows, products: Array, details: Array, poses: Array) -> Refit:
     """Fit the parts (M, ...) of one window."""
-    box, _, mean, entry, start, found, axes = window
+    box, _, matrix, mean, entry, start, found, axes = window
     free = jnp.stack([found.angular.free_rotation, found.linear.free_rotation])
 
     def fit(products: Array, details: Array) -> Parameters:
-        return fit_entry(start, Data(products, details, mean, box), entry)
+        return fit_entry(start, Data(products, details, mean, box), entry, matrix)
 
     parameters = jax.vmap(fit)(products, details)
     first = jax.tree.map(lambda leaf: leaf[0], parameters)
