@@ -116,7 +116,10 @@ def test_outputs_agree_to_the_printed_digits() -> None:
 
 def test_key_figures_are_those_of_the_stored_benchmark() -> None:
     summary = json.loads((ROOT / "benchmarks" / "results" / "golden.json").read_text())["summary"]
-    rows = re.findall(r"^\| [^|]+\(`(\w+)`\) \|(.+)\|$", (ROOT / "README.md").read_text(), re.MULTILINE)
+    readme = (ROOT / "README.md").read_text()
+    confident = [f"{summary[group]['sure']} in `{group}`" for group in ("real", "white")]
+    assert f"Names with a probability ≥ 0.9: {', '.join(confident)}." in readme
+    rows = re.findall(r"^\| [^|]+\(`(\w+)`\) \|(.+)\|$", readme, re.MULTILINE)
     assert len(rows) == 5
     for group, cells_of_row in rows:
         row = summary[group]

@@ -197,7 +197,7 @@ def _run_pieces(run_rows: Callable[[Any, Any], Any], count: int, chunk: int, siz
     threads = (os.cpu_count() or 1) if on_cpu else 1
     step = min(size, chunk * -(-count // (chunk * threads)))
     starts = range(0, count, step)
-    numbers = [min(step, count - start) for start in starts]
+    numbers = tuple(min(step, count - start) for start in starts)
     wide = in_float64()  # each thread has its own setting
 
     def run_piece(start: int, number: int) -> Any:
@@ -210,7 +210,7 @@ def _run_pieces(run_rows: Callable[[Any, Any], Any], count: int, chunk: int, siz
         run_piece(0, 0)  # compiles the program
         with ThreadPoolExecutor(threads) as pool:
             parts = list(pool.map(lambda *piece: jax.block_until_ready(run_piece(*piece)), starts, numbers))
-    return _join(jax.device_get(parts), tuple(numbers), np) if on_cpu else _join_on_gpu(parts, tuple(numbers))
+    return _join(jax.device_get(parts), numbers, np) if on_cpu else _join_on_gpu(parts, numbers)
 
 
 def _join(parts: list[Any], numbers: tuple[int, ...], xp: Any = jnp) -> Any:

@@ -85,4 +85,4 @@ def crossed_axes(
 
 
 def _square_of_sine(cosine: Array) -> Array:
-    return jnp.maximum(1 - cosine * cosine, 1e-6)
+    return jnp.maximum(1 - cosine * cosine, 1e-6)  # parallel within 1 mrad
