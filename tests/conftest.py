@@ -62,7 +62,7 @@ _LONGEST = (
 
 
 # bytes that a process may hold after a module. A module adds up to 1.2 GB; a process stays below 3 GB
-_MOST_MEMORY = 1.6e9
+_MOST_MEMORY = 2e9
 
 hypothesis.settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 hypothesis.settings.load_profile("repeatable")

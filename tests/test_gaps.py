@@ -34,11 +34,11 @@ def test_a_constant_in_each_section_changes_no_moment(rng: np.random.Generator) 
     section = np.repeat([[0, 1, 2], [0, 0, 0]], [30, 45, 25], axis=1)
     counted = rng.uniform(size=(2, POSES)) > 0.05
     other = values + np.stack([10 * rng.normal(size=(27, 3))[:, section[0]], np.ones((27, POSES))])
-    of = jax.jit(lambda values: scale_moments(values, jnp.asarray(counted), None, jnp.asarray(section)))
-    first, second = of(jnp.asarray(values)), of(jnp.asarray(other))
+    moments = jax.jit(scale_moments)
+    first, second = (moments(jnp.asarray(v), jnp.asarray(counted), None, section) for v in (values, other))
     np.testing.assert_allclose(second.products, first.products, atol=1e-8)
     np.testing.assert_array_equal(second.details, first.details)
-    whole = scale_moments(jnp.asarray(values), jnp.asarray(counted), None)
+    whole = moments(jnp.asarray(values), jnp.asarray(counted), None)
     np.testing.assert_allclose(first.products[1], whole.products[1], atol=1e-12)
     assert np.all(first.details[0, 1:-1] < whole.details[0, 1:-1])
     assert first.details[0, -1] <= whole.details[0, -1]
@@ -59,13 +59,12 @@ def test_short_sections_have_short_scales(rng: np.random.Generator) -> None:
     """Blocks are shorter than sections, so that displacements within sections remain."""
     values = np.cumsum(rng.normal(size=(1, 27, POSES)), axis=2)
     section = np.arange(POSES)[None] // 10
-    found = scale_moments(
-        jnp.asarray(values), jnp.ones((1, POSES), bool), None, jnp.asarray(section, jnp.int32)
-    )
-    part = scale_moments(jnp.asarray(values[:, :, :10]), jnp.ones((1, 10), bool), None)
+    moments = jax.jit(scale_moments)
+    found = moments(jnp.asarray(values), jnp.ones((1, POSES), bool), None, jnp.asarray(section, jnp.int32))
+    part = moments(jnp.asarray(values[:, :, :10]), jnp.ones((1, 10), bool), None)
     used = found.details[0] > 0
     np.testing.assert_array_equal(found.width[0, used], part.width[0, part.details[0] > 0])
-    whole = scale_moments(jnp.asarray(values), jnp.ones((1, POSES), bool), None)
+    whole = moments(jnp.asarray(values), jnp.ones((1, POSES), bool), None)
     assert found.details[0, -1] <= whole.details[0, -1]
 
 

@@ -325,15 +325,18 @@ class TestDiscretization:
         shape = rng.normal(size=count)
         values, expected = np.polyval(shape, middle), np.polyval(np.polyder(shape), middle)
         even = jnp.asarray([True, False])
-        weights = paths._derivative_weights(jnp.asarray(dt), even, None)
+        weights = jax.jit(paths._derivative_weights)(jnp.asarray(dt), even, None)
         assert weights.shape == (2 * count - 1, steps, 2)
-        found = paths._derivative(weights, jnp.broadcast_to(jnp.asarray(values.T), (3, 2, 2, steps, 2)))
+        found = jax.jit(paths._derivative)(
+            weights, jnp.broadcast_to(jnp.asarray(values.T), (3, 2, 2, steps, 2))
+        )
         np.testing.assert_allclose(found[..., 0], np.broadcast_to(expected[0], (3, 2, 2, steps)), atol=2e-10)
 
     def test_derivatives_across_very_different_steps_use_few_nodes(self, rng):
         dt = np.where(np.arange(20) % 4 == 3, 0.4, 0.05)[None]
         middle = np.cumsum(dt, axis=-1) - dt / 2
-        weights = np.asarray(paths._derivative_weights(jnp.asarray(dt), jnp.asarray([False]), None))[..., 0]
+        weights = jax.jit(paths._derivative_weights)(jnp.asarray(dt), jnp.asarray([False]), None)
+        weights = np.asarray(weights)[..., 0]
         found = paths._derivative(
             jnp.asarray(weights[..., None]), jnp.broadcast_to(jnp.asarray(middle.T**2), (3, 2, 2, 20, 1))
         )

@@ -88,11 +88,11 @@ def test_a_key_gives_one_motion_at_every_rate_and_error():
 
 def test_motions_are_compiled_once_per_number_of_samples():
     jax.block_until_ready(random_motion("A", jax.random.key(0), samples=23, dt=0.1, errors=PoseErrors(1e-3)))
-    before = synthetic._integrate._cache_size(), disturb._cache_size()
+    before = synthetic._simulate._cache_size(), disturb._cache_size()
     errors = PoseErrors(1e-4, rotation_ratio=7.0, outliers=0.01)
     for label, dt in (("A", 0.01), ("H", 0.05), ("L", 0.3)):
         random_motion(label, jax.random.key(5), samples=23, dt=dt, errors=errors)
-    assert (synthetic._integrate._cache_size(), disturb._cache_size()) == before
+    assert (synthetic._simulate._cache_size(), disturb._cache_size()) == before
 
 
 def test_motions_are_batched_over_keys_and_errors():

@@ -46,7 +46,8 @@ def test_rounded_positions_have_the_noise_of_their_rounding():
     """Also where the body moves so slowly that most digits stay as they are."""
     for amplitude in (0.3, 0.003):
         position = 1e-3 * np.round(1e3 * smooth(amplitude))
-        of_position, _ = estimate(position, np.diff(smooth(), axis=1), ALL, unit_of_rounding(position, ALL))
+        unit = jax.jit(unit_of_rounding)(position, ALL)
+        of_position, _ = estimate(position, np.diff(smooth(), axis=1), ALL, unit)
         assert np.all(of_position > 0.99e-3 / np.sqrt(12))
         assert np.all(of_position < 1e-3)
 

@@ -95,5 +95,5 @@ def test_the_unit_of_rounding():
         np.concatenate([path[:2], np.round(path[2:] / 3) * 0.1]),  # mostly repeats
     ]
     counted = jnp.ones((40, len(windows)), bool)
-    unit = unit_of_rounding(jnp.asarray(np.concatenate(windows, axis=2)), counted)
+    unit = jax.jit(unit_of_rounding)(jnp.asarray(np.concatenate(windows, axis=2)), counted)
     np.testing.assert_allclose(unit, [0.01, 0, 0.01, 0, 0, 0.1], rtol=1e-9, atol=1e-15)

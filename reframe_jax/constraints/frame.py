@@ -8,6 +8,7 @@ functions map between twists and velocities along the axes.
 """
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -131,6 +132,7 @@ def fixed_on_body(frame: ConstraintFrame) -> tuple[bool, bool, bool]:
     return frame.angular_type == AngularType.B, axes, origin
 
 
+@partial(jax.jit, inline=True)
 def assemble_frame(
     types: tuple[ArrayLike, ArrayLike],
     axes: tuple[jax.Array, jax.Array],
@@ -153,10 +155,12 @@ def assemble_frame(
 
 def frame_arrays(frame: ConstraintFrame) -> Frame:
     """Convert a constraint frame to arrays, with the batch axes of its geometry."""
-    types, dof = (frame.angular_type, frame.linear_type), (frame.angular_dof, frame.linear_dof)
+    types = np.int32(frame.angular_type), np.int32(frame.linear_type)
+    dof = np.asarray(frame.angular_dof, np.int32), np.asarray(frame.linear_dof, np.int32)
     return assemble_frame(types, (frame.angular_axes, frame.linear_axes), frame.position, dof)
 
 
+@partial(jax.jit, inline=True)
 def locate(frame: Frame, rotation: jax.Array, position: jax.Array) -> Located:
     """Locate a single frame when {b} has the orientation (3, 3) and the origin (3,), m, in {g}."""
     angular = jnp.where(frame.on_body[0], times(rotation, frame.angular_axes), frame.angular_axes)

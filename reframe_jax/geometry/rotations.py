@@ -74,7 +74,10 @@ def vee(matrix: jax.Array) -> jax.Array:
     return jnp.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
 
 
-@partial(jax.jit, inline=True)  # one program instead of forty operations
+_one_program = partial(jax.jit, inline=True)  # instead of one for each of forty operations
+
+
+@_one_program
 def rotation_exp(rotvec: jax.Array) -> jax.Array:
     """Convert rotation vectors (..., 3), rad, to rotation matrices (..., 3, 3): the exponential of SO(3)."""
     squared, small, angle = _angle(rotvec)
@@ -83,6 +86,7 @@ def rotation_exp(rotvec: jax.Array) -> jax.Array:
     return _polynomial(rotvec, sinc, versine)
 
 
+@_one_program
 def rotation_log(rotation: jax.Array) -> jax.Array:
     """Convert rotation matrices (..., 3, 3) to rotation vectors (..., 3), rad: the logarithm of SO(3).
 
@@ -101,6 +105,7 @@ def rotation_log(rotation: jax.Array) -> jax.Array:
     return factor[..., None] * vector
 
 
+@_one_program
 def left_jacobian(rotvec: jax.Array) -> jax.Array:
     """Return the left Jacobians J_l (..., 3, 3) of SO(3) at rotation vectors w (..., 3), rad.
 
@@ -112,11 +117,13 @@ def left_jacobian(rotvec: jax.Array) -> jax.Array:
     return _polynomial(rotvec, versine, slack)
 
 
+@_one_program
 def quaternion_to_rotation(quaternion: jax.Array) -> jax.Array:
     """Convert unit quaternions (..., 4), as (x, y, z, w), to rotation matrices (..., 3, 3)."""
     return _polynomial(quaternion[..., :3], 2 * quaternion[..., 3], jnp.full_like(quaternion[..., 3], 2))
 
 
+@_one_program
 def rotation_to_quaternion(rotation: jax.Array) -> jax.Array:
     """Convert rotation matrices (..., 3, 3) to unit quaternions (..., 4), as (x, y, z, w), with w >= 0.
 

@@ -22,11 +22,12 @@ def materialize(values: T) -> T:
     Without this function, XLA may compute the arrays again in every operation that reads them. On a GPU, this
     costs less than the memory traffic, so the function returns its argument. On a CPU, it is a conditional
     whose predicate is always true but unknown to the compiler, which removes an ``optimization_barrier`` too
-    early. The branches return the same values, but the barrier keeps the compiler from merging them.
+    early. The branches return the same values, but the barrier keeps the compiler from merging them. Outside
+    of a program, arrays are in memory already.
     """
-    if jax.default_backend() != "cpu":
-        return values
     first = next(leaf for leaf in jax.tree.leaves(values) if jnp.issubdtype(leaf.dtype, jnp.floating))
+    if jax.default_backend() != "cpu" or not isinstance(first, jax.core.Tracer):
+        return values
     corner = jax.lax.slice(first, (0,) * first.ndim, (1,) * first.ndim)
     always = jax.lax.reshape(corner, ()) != _NO_MOMENT
     return jax.lax.cond(always, lambda x: x, jax.lax.optimization_barrier, values)

@@ -13,6 +13,7 @@ functions take and return arrays with the components last, except :func:`split_p
 :func:`velocity_components` and :func:`turns_of`.
 """
 
+from functools import partial
 from typing import Literal
 
 import jax
@@ -134,6 +135,7 @@ def _twist_map(twist: jax.Array) -> jax.Array:
     return jnp.stack(rows).reshape(3, 4, *x.shape)
 
 
+@partial(jax.jit, static_argnames="discretization", inline=True)
 def angular_velocities(
     poses: jax.Array, dt: jax.Array | float, discretization: Discretization = "chord"
 ) -> jax.Array:
@@ -148,6 +150,7 @@ def angular_velocities(
     return jnp.moveaxis(rates[:, 0], (2, 1, 0), (-3, -2, -1))
 
 
+@partial(jax.jit, static_argnames="discretization", inline=True)
 def linear_velocity_maps(
     poses: jax.Array, dt: jax.Array | float, discretization: Discretization = "chord"
 ) -> jax.Array:

@@ -149,13 +149,10 @@ def simulate(
     if isinstance(excitation, str) and excitation not in EXCITATIONS:
         raise ValueError(f"Unknown excitation {excitation!r}; choose from {', '.join(EXCITATIONS)}.")
     first = jnp.eye(4, dtype=frame.position.dtype) if start is None else start
-    phase_key, noise_key = jax.random.split(key)
-    arrays, steps = frame_arrays(frame), round(duration / dt)
     pitch = None if pitch is None else jnp.asarray(pitch, dtype=first.dtype)
-    options = {"excitation": excitation, "exact": exact, "steps": steps}
-    poses = _integrate(arrays, phase_key, first, dt, ease, pitch, **options)
-    times = dt * jnp.arange(steps + 1, dtype=first.dtype)
-    return Simulation(times, add_pose_noise(poses, noise_key, noise), poses, frame)
+    options = {"excitation": excitation, "exact": exact, "steps": round(duration / dt)}
+    times, measured, poses = _simulate(frame_arrays(frame), key, first, noise, dt, ease, pitch, **options)
+    return Simulation(times, measured, poses, frame)
 
 
 def pitch_of(label: str) -> float | None:
@@ -164,10 +161,11 @@ def pitch_of(label: str) -> float | None:
 
 
 @partial(jax.jit, static_argnames=("excitation", "exact", "steps"))
-def _integrate(
+def _simulate(
     frame: Frame,
     key: jax.Array,
     first: jax.Array,
+    noise: float | jax.Array,
     dt: float,
     ease: float | jax.Array,
     pitch: jax.Array | None,
@@ -175,9 +173,11 @@ def _integrate(
     excitation: str | Excitation,
     exact: bool,
     steps: int,
-) -> jax.Array:
-    """Integrate poses (steps + 1, 4, 4) from the first pose."""
-    velocity = EXCITATIONS[excitation](key) if isinstance(excitation, str) else excitation
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return times (steps + 1,), measured poses and true poses (steps + 1, 4, 4), from the first pose on."""
+    phase_key, noise_key = jax.random.split(key)
+    times = dt * jnp.arange(steps + 1, dtype=first.dtype)
+    velocity = EXCITATIONS[excitation](phase_key) if isinstance(excitation, str) else excitation
 
     def twist(t: jax.Array, pose: jax.Array) -> jax.Array:
         angular, linear = velocity(t)
@@ -197,7 +197,8 @@ def _integrate(
         moved, _ = jax.lax.scan(substep, pose, jnp.arange(_SUBSTEPS, dtype=pose.dtype))
         return moved, pose
 
-    return jax.lax.scan(advance, first, dt * jnp.arange(steps + 1, dtype=first.dtype))[1]
+    poses = jax.lax.scan(advance, first, times)[1]
+    return times, add_pose_noise(poses, noise_key, noise), poses
 
 
 def _ease_factor(t: jax.Array, ease: float | jax.Array) -> jax.Array:

@@ -13,7 +13,7 @@ import contextlib
 import io
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +109,7 @@ def _link_transforms(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
     return rotations, positions
 
 
+@partial(jax.jit, static_argnames="arm", inline=True)
 def forward_kinematics(joints: jax.Array, arm: Arm = PANDA) -> tuple[jax.Array, jax.Array]:
     """Compute rotation (..., 3, 3) and position (..., 3), m, of {b} in {g} from joints (..., 7), rad."""
     fixed, offset = (jnp.asarray(part, dtype=joints.dtype) for part in _link_transforms(arm))
