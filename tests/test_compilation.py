@@ -136,20 +136,23 @@ def test_the_first_call_compiles_few_programs(caplog: pytest.LogCaptureFixture) 
     assert len(compiled) <= 10
 
 
-def test_other_lengths_and_numbers_of_windows_compile_nothing(caplog: pytest.LogCaptureFixture) -> None:
+def test_other_lengths_numbers_of_windows_and_scales_compile_nothing(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     poses = np.asarray(synthetic.simulate("K", jax.random.key(0), noise=1e-4).poses)
 
-    def use(length: int, number: int) -> None:
+    def use(length: int, number: int, scales: Any) -> None:
         window, windows = poses[:length], np.tile(poses[:length], (number, 1, 1, 1))
-        found = rf.identify(window, dt=0.1)
-        rf.covariance(found, window, dt=0.1)
-        batch = rf.identify(windows, dt=0.1)
+        found = rf.identify(window, dt=0.1, scales=scales)
+        rf.covariance(found, window, dt=0.1, scales=scales)
+        batch = rf.identify(windows, dt=0.1, scales=scales)
         for part in (batch[3], batch[2:5], batch[np.asarray(batch.status_code) == 0]):
             assert set(np.ravel(part.name)) == {"Pin-plane contact"}
 
     with jax.enable_x64(False):  # as JAX is set by default: results are rounded
-        use(51, 20)
+        use(51, 20, "auto")
         caplog.clear()
         with jax.log_compiles():
-            use(47, 23)
+            use(47, 23, (2, 4))
+            use(51, 20, "mean")
     assert not [record for record in caplog.records if "Finished XLA compilation" in record.getMessage()]

@@ -120,18 +120,19 @@ def identify_unchecked(
     wide = not inside_a_trace and not isinstance(array, jax.Array) and array.dtype == np.float64
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = take_steps(array, times, dt)
-        if samples is None and (exponent != 0 or solver is not None or discretization != "chord"):
-            samples = (1,)
+        by_steps = exponent != 0 or solver is not None or discretization != "chord"
+        if samples < 0 and by_steps:
+            samples = np.int32(1)
         dtype = jax.dtypes.canonicalize_dtype(array.dtype)
         level = None if thresholds is None else jax.tree.map(lambda t: jnp.asarray(t, dtype), thresholds)
         if reach is not None:
             reach = jnp.asarray(reach, dtype)
         elif not inside_a_trace:
             reach = np.asarray(np.nan, dtype)  # the default, so that the program is that of given bounds
-        arrays = reach, level, key, allowed
+        arrays = reach, level, key, allowed, samples
         run = partial(
             _program.in_trace if inside_a_trace else _program,
-            scales=samples,
+            single_steps=bool(samples == 1),
             exponent=exponent,
             discretization=discretization,
             solver=solver,
@@ -141,7 +142,8 @@ def identify_unchecked(
         elif array.ndim > 3 and _is_distributed(array):
             found = _on_mesh(run, array, steps, arrays)
         else:
-            found = _on_host(run, array, steps, arrays)
+            # velocities of single steps must not see the padding
+            found = _on_host(run, array, steps, arrays, pad=not by_steps and samples != 1)
     if inside_a_trace:
         return found
     found = narrow(found)
@@ -167,14 +169,13 @@ def _warn_of_lost_rows(poses: np.ndarray, times: Any) -> None:
         )
 
 
-def _on_host(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
+def _on_host(run: Any, poses: Any, steps: Any, options: tuple[Any, ...], pad: bool) -> Identification:
     """Identify windows (..., K+1, 4, 4) in pieces of few shapes, so that few programs are compiled."""
 
     def of_piece(poses: Any, steps: Any, length: Any, _: None, number: Any) -> Identification:
         return run(poses, steps, length, options, number)
 
-    pad = not run.keywords["scales"]  # velocities of single steps must not see the padding
-    found: Identification = run_in_pieces(of_piece, poses, steps, None, _CHUNK, pad)
+    found: Identification = run_in_pieces(of_piece, poses, steps, None, _CHUNK, bool(pad))
     return replace(found, counted=found.counted[..., : poses.shape[-3]]) if poses.ndim > 3 else found
 
 
@@ -219,15 +220,15 @@ def _identify_flat(
     poses: jax.Array,
     steps: jax.Array,
     length: jax.Array | None,
-    options: tuple[jax.Array | None, Thresholds | None, jax.Array | None, jax.Array],
+    options: tuple[jax.Array | None, Thresholds | None, jax.Array | None, jax.Array, jax.Array],
     number: jax.Array | None,
     **static: Any,
 ) -> Identification:
     """Identify windows (..., K+1, 4, 4), one chunk after another; see :func:`run_in_pieces`.
 
-    The options are the bounds, the thresholds, the random key, and the allowed entries (E,) bool.
+    The options are the bounds, the thresholds, the random key, the allowed entries (E,) bool, and the scales.
     """
-    bounds, thresholds, key, allowed = options
+    bounds, thresholds, key, *arrays = options
     key = jax.random.key(0) if key is None else key
     batch = poses.shape[:-3]
     steps = jnp.broadcast_to(steps.astype(poses.dtype), (*batch, steps.shape[-1]))
@@ -236,10 +237,10 @@ def _identify_flat(
         poses, steps = windows
         count = None if length is None else jnp.full(len(poses), length)
         with jax.default_matmul_precision("highest"):  # a GPU would round single precision to ten bits
-            return identify_windows(poses, steps, count, bounds, thresholds, key, allowed, **static)
+            return identify_windows(poses, steps, count, bounds, thresholds, key, *arrays, **static)
 
     found: Identification = map_windows(of_windows, (poses, steps), len(batch), _CHUNK, number)
     return found
 
 
-_program = Program(_identify_flat, ("scales", "exponent", "discretization", "solver"))
+_program = Program(_identify_flat, ("single_steps", "exponent", "discretization", "solver"))

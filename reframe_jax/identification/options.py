@@ -48,17 +48,15 @@ class Options(NamedTuple):
     key: jax.Array | None = None
 
 
-def take_scales(scales: Any, poses: int) -> tuple[int, ...] | None:
-    """Return None for the scales "auto", an empty tuple for "mean", else the numbers in ascending order.
+def take_scales(scales: Any, poses: int) -> np.int32:
+    """Return the sum of the scales, whose bits are the powers of two; 0 for "mean", and -1 for "auto".
 
     Raises:
         ValueError: unless the numbers are powers of two, at most an eighth of the poses in a window.
     """
     if isinstance(scales, str):
-        if scales == "auto":
-            return None
-        if scales == "mean":
-            return ()
+        if scales in ("auto", "mean"):
+            return np.int32(-1 if scales == "auto" else 0)
         raise ValueError(f"scales must be 'auto', 'mean' or numbers of samples, not {scales!r}.")
     values = np.atleast_1d(read_numbers("scales", scales))
     longest = max(1, poses // 8)
@@ -68,10 +66,10 @@ def take_scales(scales: Any, poses: int) -> tuple[int, ...] | None:
             f"scales must be powers of two from 1 to an eighth of the window ({longest} samples), "
             f"not {scales!r}."
         )
-    return tuple(sorted(set(values.tolist())))
+    return np.int32(sum(set(values.tolist())))
 
 
-def check_options(options: Options, poses: int) -> tuple[tuple[int, ...] | None, Any, np.ndarray]:
+def check_options(options: Options, poses: int) -> tuple[np.int32, Any, np.ndarray]:
     """Check all options except the norm, and return scales, bounds and allowed entries for programs.
 
     The number of poses in a window limits the scales. The entries (E,) bool are those of the assumed

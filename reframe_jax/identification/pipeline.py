@@ -26,35 +26,34 @@ def identify_windows(
     thresholds: Thresholds | None,
     key: Array,
     allowed: Array,
+    scales: Array,
     *,
-    scales: tuple[int, ...] | None,
+    single_steps: bool,
     exponent: float,
     discretization: Discretization,
     solver: Solver | None,
 ) -> Identification:
     """Identify N windows of checked poses.
 
-    The first arguments and ``scales`` are those of :func:`.prepare_windows`, the thresholds those of
-    :func:`.report_windows`. The key, exponent, discretization and solver are those of the paper's search
-    (:func:`.paper_origins`), without which origins are searched over time scales. ``allowed`` (E,) bool
-    states which entries may be reported.
+    The first arguments, ``scales`` and ``single_steps`` are those of :func:`.prepare_windows`, the thresholds
+    those of :func:`.report_windows`. The key, exponent, discretization and solver are those of the paper's
+    search (:func:`.paper_origins`), without which origins are searched over time scales. ``allowed`` (E,)
+    bool states which entries may be reported.
     """
-    window = prepare_windows(poses, steps, count, bounds, scales)
+    window = prepare_windows(poses, steps, count, bounds, scales, single_steps)
     fixed: Prepared = jax.lax.stop_gradient(window)
-    used = choose_scales(fixed.moments, fixed.noise, scales)
     # amplitudes are those of the whole recording, whatever the scales of the search
-    whole = choose_scales(fixed.moments, fixed.noise, None) if scales else used
-    steps_only = scales == (1,)
+    used, whole = choose_scales(fixed.moments, fixed.noise, scales)
     of_steps = origins = None
-    if steps_only or exponent != 0 or solver is not None or discretization != "chord":
+    if single_steps or exponent != 0 or solver is not None or discretization != "chord":
         of_steps = step_moments(window.poses, window.steps, discretization)
         origins = paper_origins(fixed, jax.lax.stop_gradient(of_steps[1]), exponent, solver, key)
     compare = thresholds is None
-    searched = used.at_scales(scales) if scales and not compare else used
+    searched = used.of_steps() if single_steps and not compare else used
     solved = solve_windows(
         fixed.features, fixed.moments, searched, whole, fixed.noise, fixed.box, allowed, origins, compare
     )
     live = window.moments._replace(details=used.details)
-    of_steps = of_steps if steps_only else None
+    of_steps = of_steps if single_steps else None
     assumed = ~jnp.all(allowed)
     return report_windows(window, live, whole.scale_weight, solved, thresholds, exponent, of_steps, assumed)

@@ -37,7 +37,12 @@ class Prepared(NamedTuple):
 
 
 def prepare_windows(
-    poses: Array, steps: Array, count: Array | None, bounds: Array | None, scales: tuple[int, ...] | None
+    poses: Array,
+    steps: Array,
+    count: Array | None,
+    bounds: Array | None,
+    scales: Array,
+    single_steps: bool = False,
 ) -> Prepared:
     """Check windows, leave out outliers, estimate the noise, and compute the moments of the features.
 
@@ -46,10 +51,9 @@ def prepare_windows(
         steps: (K,) or (N, K) durations of the steps, s.
         count: (N,) number of poses in each window, if the poses after them are padding; else None.
         bounds: () m, half the width of the cube of origins; None or NaN for the default.
-        scales: numbers of samples; None for all scales, without outliers; an empty tuple to compare poses
-            with their mean.
+        scales: () int, see :func:`.take_scales`. Only with -1, outliers are left out and gaps have an effect.
+        single_steps: whether the scales are 1, for a smaller program.
     """
-    about_mean = scales == ()
     status = window_status(poses, steps)
     failed = status >= 10
     # a failed window gets valid numbers, so that no NaN enters a derivative
@@ -64,22 +68,24 @@ def prepare_windows(
     rotation, position = kinematics.split_poses(poses)
     counted = own.T
     unit = jax.lax.stop_gradient(unit_of_rounding(position, counted))
-    if scales is None:
+    section = None
+    if not single_steps:
+        automatic = scales < 0
         times = jnp.concatenate([jnp.zeros_like(steps[:, :1]), jnp.cumsum(steps, axis=1)], axis=1)
         times = jnp.broadcast_to(times, own.shape).T
-        rotation, position, counted = repair_poses(rotation, position, times, number, unit)
+        rotation, position, counted = repair_poses(rotation, position, times, number, unit, automatic)
+        section = jnp.broadcast_to(sections_of(steps) * automatic, own.shape)
     still = jax.lax.stop_gradient((position, kinematics.turns_of(rotation)))
-    if about_mean:  # poses without order give no estimate of the noise except the rounding error
-        reach = jnp.max(jnp.where(counted, jnp.abs(still[0]), 0), axis=(0, 1))
-        rounding = 4 * float(jnp.finfo(poses.dtype).eps)
-        noise = rounding * jnp.stack([reach, jnp.full_like(reach, np.pi)], axis=1)
-    else:
-        noise = jnp.stack(estimate_noise(*still, counted, unit), axis=1)
+    noise = jnp.stack(estimate_noise(*still, counted, unit), axis=1)
+    distance = jnp.sqrt(jnp.max(jnp.where(counted, jnp.sum(jnp.square(still[0]), axis=0), 0), axis=0))
+    # poses without order give no estimate of the noise except the rounding error
+    rounding = (
+        4 * float(jnp.finfo(poses.dtype).eps) * jnp.stack([distance, jnp.full_like(distance, np.pi)], 1)
+    )
+    noise = jnp.where(scales == 0, rounding, noise)
     features = pose_features(rotation, position, steps, counted, count)
-    section = jnp.broadcast_to(sections_of(steps), own.shape) if scales is None else None
-    moments = scale_moments(features.values, counted.T, count, section, about_mean)
-    square = jnp.max(jnp.where(counted, jnp.sum(jnp.square(position), axis=0), 0), axis=0)
-    box = jnp.maximum(_REACH, _REACH * jnp.sqrt(jax.lax.stop_gradient(square)))
+    moments = scale_moments(features.values, counted.T, count, section, scales == 0)
+    box = jnp.maximum(_REACH, _REACH * distance)
     if bounds is not None:
         box = jnp.where(jnp.isnan(bounds), box, jnp.asarray(bounds, box.dtype))
     return Prepared(status, centre, poses, counted.T, section, steps, number, noise, features, moments, box)

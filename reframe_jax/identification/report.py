@@ -177,8 +177,7 @@ def _candidates(
     linear_dof = linear_dof.at[kind].set(frames.linear.dof)
     linear_rms = types.linear_rms.at[kind].set(frames.linear_rms)
     rotvecs = jax.vmap(rotation_vector)(
-        jnp.concatenate([frames.angular.axes, linear_axes]),
-        jnp.concatenate([frames.angular.dof, linear_dof]),
+        jnp.concatenate([frames.angular.axes, linear_axes]), jnp.concatenate([frames.angular.dof, linear_dof])
     )
     return AllCandidates(
         Candidates(rotvecs[:2], frames.angular.dof, frames.angular_rms, types.angular_norm),

@@ -33,11 +33,9 @@ class Moments(NamedTuple):
     details: jax.Array
     width: jax.Array
 
-    def at_scales(self, scales: tuple[int, ...]) -> "Moments":
-        """Select block widths in samples, and the smooth part, which stays the last."""
-        last = self.width.shape[-1] - 1
-        index = [i for i in range(last) if 2**i in scales]
-        return Moments(*(leaf[:, np.array([*index, last])] for leaf in self))
+    def of_steps(self) -> "Moments":
+        """Select the details of consecutive poses, and the smooth part."""
+        return Moments(*(leaf[:, np.array([0, -1])] for leaf in self))
 
     @property
     def scale_weight(self) -> jax.Array:
@@ -57,7 +55,7 @@ def scale_moments(
     counted: jax.Array,
     count: jax.Array | None,
     section: jax.Array | None = None,
-    about_mean: bool = False,
+    about_mean: jax.Array | None = None,
 ) -> Moments:
     """Compute the second moments of features at every scale.
 
@@ -67,8 +65,8 @@ def scale_moments(
         count: (N,) number of poses before the padding; None without padding.
         section: (N, P) int, section between gaps that a pose belongs to; None for one section.
             Details are differences within a section, and the smooth part is relative to the section's mean.
-        about_mean: whether to use no details, and displacements from the mean as the smooth part; the order
-            of the poses then has no effect.
+        about_mean: () bool, whether to use no details, and displacements from the mean as the smooth part;
+            the order of the poses then has no effect.
     """
     poses, dtype = values.shape[2], values.dtype
     number = jnp.full(len(values), poses, jnp.int32) if count is None else count
@@ -82,14 +80,13 @@ def scale_moments(
     if section is not None:
         first, last = (jnp.where(counted, section, end) for end in (poses, 0))
         sections += jnp.max(last, axis=1) - jnp.min(first, axis=1)
-    length = number // sections  # poses in a section
+    blocks = number if about_mean is None else jnp.where(about_mean, 0, number)  # poses that blocks contain
+    length = blocks // sections  # poses in a section
     products, details, widths = [], [], []
     block, full, width = total, weight, jnp.ones(len(values), dtype)  # of the smooth part
     whole = width  # the width without gaps
-    if about_mean:
-        products, details, widths = [jnp.zeros_like(floor)], [jnp.zeros_like(used)], [width]
     h = 1
-    while not about_mean and (h == 1 or _PART * h < poses):
+    while h == 1 or _PART * h < poses:
         # a block counts only if at least half of its poses count
         inside = jnp.arange(weight.shape[2]) + h <= number[:, None, None]  # no block reaches into padding
         here = ((weight >= max(1, h / 2)) & inside).astype(dtype)
@@ -99,7 +96,7 @@ def scale_moments(
             if section is not None:
                 both *= (section[:, 2 * h - 1 :] == section[:, : 1 - 2 * h])[:, None]
             found = jnp.sum(both, axis=(1, 2))
-            fits = ((h == 1) | (2 * h * _PART < length)) & (found >= _FEWEST)
+            fits = (length > (0 if h == 1 else 2 * h * _PART)) & (found >= _FEWEST)
             products.append(_mean_products((means[..., h:] - means[..., :-h]) * both, found))
             details.append(jnp.where(fits, found / (2 * h), 0))
             widths.append(jnp.full(len(values), h, dtype))
@@ -113,7 +110,7 @@ def scale_moments(
                 for new, old in ((means, block), (here, full))
             )
             width = jnp.where(fits[:, 0, 0], h, width)
-            whole = jnp.where(h * _PART < number, h, whole)
+            whole = jnp.where(h * _PART < blocks, h, whole)
         total, weight = materialize((total[..., h:] + total[..., :-h], weight[..., h:] + weight[..., :-h]))
         h *= 2
     rest, found = _about_mean(block, full)

@@ -59,20 +59,20 @@ class Solved(NamedTuple):
     tilt_scale: Array
 
 
-def choose_scales(moments: Moments, noise: Array, scales: tuple[int, ...] | None) -> Moments:
+def choose_scales(moments: Moments, noise: Array, scales: Array) -> tuple[Moments, Moments]:
     """Set the details of unused scales to 0.
 
     Args:
         moments: moments of N windows at all scales.
         noise: (N, 2) m and rad, white noise of every component of a pose.
-        scales: block widths in samples, without the smooth part. None or () for the smooth part and every
-            scale at which the motion exceeds the noise.
+        scales: () int, the sum of the block widths to use, in samples; 0 or less for the default.
+
+    Returns:
+        Moments at the scales to use, and at those of the default: the smooth part and every scale at which
+        the motion exceeds the noise.
     """
     last = moments.details.shape[1] - 1
     index = jnp.arange(last + 1)
-    if scales:
-        asked = jnp.isin(moments.width, jnp.asarray(scales, moments.width.dtype)) & (index < last)
-        return moments._replace(details=jnp.where(asked, moments.details, 0))
     keep = jnp.ones_like(moments.details, bool)
     for group, rows in enumerate((z.POSITION, z.TURN_BODY)):
         size = jnp.trace(moments.products[:, :, rows, rows], axis1=2, axis2=3)
@@ -84,7 +84,9 @@ def choose_scales(moments: Moments, noise: Array, scales: tuple[int, ...] | None
     # the last details and the smooth part always count
     details = jnp.sum(moments.details[:, :-1] > 0, axis=1)
     keep = keep | (index >= details[:, None] - 1)
-    return moments._replace(details=jnp.where(keep, moments.details, 0))
+    asked = ((moments.width.astype(jnp.int32) & scales) > 0) & (index < last)
+    used, whole = (jnp.where(of, moments.details, 0) for of in (jnp.where(scales > 0, asked, keep), keep))
+    return moments._replace(details=used), moments._replace(details=whole)
 
 
 def solve_windows(

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.typing import ArrayLike
 
 from reframe_jax.geometry.small import pick, total
 from reframe_jax.motion.noise import masked_median
@@ -41,7 +42,7 @@ _ACROSS = np.array([[0, 1, 6, 9, 10], [3, 2, 8, 11, 12]], np.int32)
 
 
 def repair_poses(
-    rotation: Array, position: Array, times: Array, count: Array, unit: Array
+    rotation: Array, position: Array, times: Array, count: Array, unit: Array, wanted: ArrayLike = True
 ) -> tuple[Array, Array, Array]:
     """Find outliers, and replace them by interpolation between the poses beside them.
 
@@ -51,6 +52,7 @@ def repair_poses(
         times: (P, N) s.
         count: (N,) number of poses in each window; the poses after them are padding.
         unit: (N,) m, unit to which the positions are rounded, or 0.
+        wanted: () bool, whether to search at all.
 
     Returns:
         Rotations and positions with the shapes of the input, and (P, N) bool: which poses are measured, that
@@ -66,7 +68,7 @@ def repair_poses(
     size = _lengths(jnp.diff(measured, n=4, axis=1)) / _NOISE_GAIN
     whole = jnp.broadcast_to(own[4:, None], (len(own) - 4, 2, own.shape[1]))
     noise = masked_median(jnp.swapaxes(size, 0, 1), whole)
-    jumps = jnp.any(own[4:] & (size > _NOISES * noise[:, None]), axis=(0, 1))
+    jumps = wanted & jnp.any(own[4:] & (size > _NOISES * noise[:, None]), axis=(0, 1))
     rounding = 64 * jnp.finfo(size.dtype).eps * (1 + jnp.max(jnp.abs(measured), axis=(0, 1)))
     noise = jnp.maximum(noise, jnp.stack([unit / 2, jnp.zeros_like(unit)])) + rounding
 

@@ -162,9 +162,7 @@ def covariance(
     return over_windows(_window_covariances, found, poses, times, dt, scales, parts=parts)
 
 
-def _window_covariances(
-    window: Prepared, windows: Windows, *, scales: tuple[int, ...] | None, parts: str
-) -> Covariance:
+def _window_covariances(window: Prepared, windows: Windows, scales: jax.Array, *, parts: str) -> Covariance:
     refit = refit_windows(window, windows, scales, parts)
     matrix, inflation = jax.vmap(partial(combine_parts, parts=parts))(refit)
     angles = jnp.sqrt(jnp.diagonal(matrix, axis1=1, axis2=2))

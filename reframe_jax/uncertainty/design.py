@@ -49,11 +49,7 @@ class MotionAdvice:
 
 
 def next_motion(
-    found: Identification,
-    poses: ArrayLike,
-    *,
-    times: ArrayLike,
-    duration: float = 2.0,
+    found: Identification, poses: ArrayLike, *, times: ArrayLike, duration: float = 2.0
 ) -> MotionAdvice:
     """Rank small motions by the reduction of the covariance if the recording contained them (D-optimality).
 
@@ -97,9 +93,7 @@ def next_motion(
     return MotionAdvice(axes[order], shrinks[order])
 
 
-def _fit_whole(
-    window: Prepared, windows: Windows, *, scales: tuple[int, ...] | None
-) -> tuple[jax.Array, Refit]:
+def _fit_whole(window: Prepared, windows: Windows, scales: jax.Array) -> tuple[jax.Array, Refit]:
     """Centres (N, 3), m, and fits of whole windows."""
     return window.centre, refit_windows(window, windows, scales, "whole")
 

@@ -95,7 +95,7 @@ def excitation(
     return over_windows(_window_excitations, found, poses, times, dt, scales)
 
 
-def _window_excitations(window: Prepared, windows: Windows, *, scales: tuple[int, ...] | None) -> Excitation:
+def _window_excitations(window: Prepared, windows: Windows, _: jax.Array) -> Excitation:
     _, used, _, mean_rotation, entry, start, found, _ = windows
     straight = start._replace(pitch=jnp.zeros_like(start.pitch))
     weights = jax.vmap(coordinates)(straight, mean_rotation, entry)

@@ -93,11 +93,10 @@ def over_windows(
 ) -> Any:
     """Call a function of N windows for the windows of an identification, single, many or traced.
 
-    The arguments of the function are prepared windows, their :class:`Windows`, and the keywords ``scales``
-    and ``static``; it must be defined at module level, so that it compiles only once. Time scales are in
-    samples; None chooses all scales at which the motion exceeds the noise. Poses, times, dt and scales are
-    those of the user. The result is that of the function, with the leading axes of ``found`` in place of the
-    axis of windows.
+    The arguments of the function are prepared windows, their :class:`Windows`, the scales of
+    :func:`.take_scales`, and the keywords ``static``; it must be defined at module level, so that it compiles
+    only once. Poses, times, dt and scales are those of the user. The result is that of the function, with the
+    leading axes of ``found`` in place of the axis of windows.
 
     Raises:
         ValueError: if the poses or times do not match ``found``.
@@ -120,7 +119,7 @@ def over_windows(
             lambda x: xp.asarray(x, array.dtype if jnp.issubdtype(x.dtype, jnp.floating) else None), estimate
         )
         program = _program.in_trace if tracing else _program
-        run = partial(program, function=function, scales=take_scales(scales, array.shape[-3]), **static)
+        run = partial(program, take_scales(scales, array.shape[-3]), function=function, **static)
         if tracing:
             result = run(array, steps, None, estimate, None)
         else:
@@ -129,6 +128,7 @@ def over_windows(
 
 
 def _run(
+    scales: Any,
     poses: Any,
     steps: Any,
     length: Any,
@@ -136,7 +136,6 @@ def _run(
     number: Any,
     *,
     function: Any,
-    scales: Any,
     **static: Any,
 ) -> Any:
     """Prepare poses (..., K+1, 4, 4) for the fit, and call the function; see :func:`run_in_pieces`."""
@@ -148,22 +147,22 @@ def _run(
         count = None if length is None else jnp.full(len(poses), length)
         with jax.default_matmul_precision("highest"):
             window = jax.lax.stop_gradient(prepare_windows(poses, steps, count, None, scales))
-            used = choose_scales(window.moments, window.noise, scales)
+            used, _ = choose_scales(window.moments, window.noise, scales)
             mean = window.features.mean_rotation
             entry = jax.vmap(entries_at)(jnp.maximum(found.entry_code, 0))
             axes = rotation_exp(jnp.stack([found.angular.rotvec, found.linear.rotvec], axis=1))
             start = jax.vmap(_start)(found, axes, window.centre, mean, entry)
             matrix = window.features.mean_matrix
             windows = Windows(window.box, used, matrix, mean, entry, start, found, axes)
-            return function(window, windows, scales=scales, **static)
+            return function(window, windows, scales, **static)
 
     return map_windows(of_windows, (poses, steps, found), len(batch), _CHUNK, number)
 
 
-_program = Program(_run, ("function", "scales", "parts"))
+_program = Program(_run, ("function", "parts"))
 
 
-def refit_windows(window: Prepared, windows: Windows, scales: tuple[int, ...] | None, parts: str) -> Refit:
+def refit_windows(window: Prepared, windows: Windows, scales: Array, parts: str) -> Refit:
     """Fit the identified constraints to prepared windows and to parts of them, with the same time scales.
 
     The parts are "whole"; "spans", with halves and thirds; or "blocks", with six parts that each lack one of
@@ -172,9 +171,9 @@ def refit_windows(window: Prepared, windows: Windows, scales: tuple[int, ...] | 
     products, details = windows.moments.products[:, None], windows.moments.details[:, None]
     number = jnp.sum(window.counted, axis=1)[:, None]
     if parts != "whole":
-        moments, of_parts = _moments_of_parts(window, parts, scales == ())
+        moments, of_parts = _moments_of_parts(window, parts, scales == 0)
         noise = jnp.repeat(window.noise, of_parts.shape[1], axis=0)
-        more = align_scales(choose_scales(moments, noise, scales), details.shape[2])
+        more = align_scales(choose_scales(moments, noise, scales)[0], details.shape[2])
         products, details = (
             jnp.concatenate([whole, part.reshape(len(whole), -1, *part.shape[1:])], axis=1)
             for whole, part in zip((products, details), more, strict=True)
@@ -194,7 +193,7 @@ def align_scales(moments: Moments, count: int) -> tuple[Array, Array]:
     return moments.products[:, place], jnp.where(present, moments.details[:, place], 0)
 
 
-def _moments_of_parts(window: Prepared, parts: str, about_mean: bool) -> tuple[Moments, Array]:
+def _moments_of_parts(window: Prepared, parts: str, about_mean: Array) -> tuple[Moments, Array]:
     """Moments (N * M, ...) of the parts of windows, and the number of poses in each part, (N, M).
 
     The parts are the halves and thirds of the windows, after the whole, or the windows without a block.

@@ -124,9 +124,7 @@ def _spread_of_fit(fit: Refit) -> tuple[Array, Array, Array]:
     factor = jnp.repeat(jnp.sqrt(_student_variance(freedom) * jnp.maximum(number / freedom, 1)), 3)
     score = jnp.sum(gradient, axis=0)
     step = jnp.where(
-        entry.tied,
-        jnp.zeros_like(prior).at[:2].set(fit.tilt),
-        translations @ score[1] - rotations @ score[0],
+        entry.tied, jnp.zeros_like(prior).at[:2].set(fit.tilt), translations @ score[1] - rotations @ score[0]
     )
     tilt = jnp.zeros_like(total).at[:2, :2].set(total[6:8, 6:8])
     chance = jnp.where(entry.tied, tilt, rotations + translations)
