@@ -119,11 +119,11 @@ def identify_unchecked(
     samples, reach, allowed = check_options(options, array.shape[-3])
     wide = not inside_a_trace and not isinstance(array, jax.Array) and array.dtype == np.float64
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
-        steps = take_steps(array, times, dt)
         by_steps = exponent != 0 or solver is not None or discretization != "chord"
         if samples < 0 and by_steps:
             samples = np.int32(1)
         dtype = jax.dtypes.canonicalize_dtype(array.dtype)
+        steps = take_steps(array, times, dt).astype(dtype)
         level = None if thresholds is None else jax.tree.map(lambda t: jnp.asarray(t, dtype), thresholds)
         if reach is not None:
             reach = jnp.asarray(reach, dtype)
@@ -231,7 +231,7 @@ def _identify_flat(
     bounds, thresholds, key, *arrays = options
     key = jax.random.key(0) if key is None else key
     batch = poses.shape[:-3]
-    steps = jnp.broadcast_to(steps.astype(poses.dtype), (*batch, steps.shape[-1]))
+    steps = jnp.broadcast_to(steps, (*batch, steps.shape[-1]))
 
     def of_windows(windows: tuple[jax.Array, jax.Array]) -> Identification:
         poses, steps = windows
