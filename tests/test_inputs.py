@@ -166,6 +166,16 @@ def test_scales_of_every_integer_type_are_samples(poses):
     assert take_scales([4, 1, 4], 51) == 5
 
 
+@pytest.mark.parametrize("length", [9, 16, 17, 21])
+def test_every_scale_that_is_accepted_has_displacements(poses, length):
+    for scale in (1, 2):
+        if scale == 1 or length > 16:
+            assert identify(poses[:length], scales=scale).name == "Revolute joint"
+        else:
+            with pytest.raises(ValueError, match="an eighth of the window"):
+                identify(poses[:length], scales=scale)
+
+
 @pytest.mark.parametrize("where", [1e155, -1e30, 1e10])
 def test_a_pose_beyond_the_earth_fails_its_window_and_no_other(poses, where):
     batch = np.stack([poses, poses])

@@ -52,18 +52,18 @@ def take_scales(scales: Any, poses: int) -> np.int32:
     """Return the sum of the scales, whose bits are the powers of two; 0 for "mean", and -1 for "auto".
 
     Raises:
-        ValueError: unless the numbers are powers of two, at most an eighth of the poses in a window.
+        ValueError: unless the numbers are 1 or powers of two below an eighth of the poses in a window.
     """
     if isinstance(scales, str):
         if scales in ("auto", "mean"):
             return np.int32(-1 if scales == "auto" else 0)
         raise ValueError(f"scales must be 'auto', 'mean' or numbers of samples, not {scales!r}.")
     values = np.atleast_1d(read_numbers("scales", scales))
-    longest = max(1, poses // 8)
+    longest = max(1, (poses - 1) // 8)  # as in scale_moments
     whole = values.ndim == 1 and values.size and values.dtype.kind in "iu"
     if not whole or not all(0 < v <= longest and v & (v - 1) == 0 for v in values.tolist()):
         raise ValueError(
-            f"scales must be powers of two from 1 to an eighth of the window ({longest} samples), "
+            f"scales must be powers of two from 1 to less than an eighth of the window (at most {longest}), "
             f"not {scales!r}."
         )
     return np.int32(sum(set(values.tolist())))
