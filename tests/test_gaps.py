@@ -11,6 +11,7 @@ from reframe_jax.model.moments import scale_moments
 from reframe_jax.motion.paths import sections_of
 
 POSES = 100
+moments = jax.jit(scale_moments)
 
 
 def spec_with_a_gap(label: str) -> golden_cases.Spec:
@@ -34,7 +35,6 @@ def test_a_constant_in_each_section_changes_no_moment(rng: np.random.Generator) 
     section = np.repeat([[0, 1, 2], [0, 0, 0]], [30, 45, 25], axis=1)
     counted = rng.uniform(size=(2, POSES)) > 0.05
     other = values + np.stack([10 * rng.normal(size=(27, 3))[:, section[0]], np.ones((27, POSES))])
-    moments = jax.jit(scale_moments)
     first, second = (moments(jnp.asarray(v), jnp.asarray(counted), None, section) for v in (values, other))
     np.testing.assert_allclose(second.products, first.products, atol=1e-8)
     np.testing.assert_array_equal(second.details, first.details)
@@ -59,7 +59,6 @@ def test_short_sections_have_short_scales(rng: np.random.Generator) -> None:
     """Blocks are shorter than sections, so that displacements within sections remain."""
     values = np.cumsum(rng.normal(size=(1, 27, POSES)), axis=2)
     section = np.arange(POSES)[None] // 10
-    moments = jax.jit(scale_moments)
     found = moments(jnp.asarray(values), jnp.ones((1, POSES), bool), None, jnp.asarray(section, jnp.int32))
     part = moments(jnp.asarray(values[:, :, :10]), jnp.ones((1, 10), bool), None)
     used = found.details[0] > 0

@@ -97,10 +97,9 @@ def identify(
     inside_a_trace = inside_trace((poses, times, dt, thresholds, bounds, key))
     single_window = array.ndim == 3 and not inside_a_trace
     unordered = single_window and is_unordered(np.asarray(array, dtype=float))
-    usual = check_exponent(norm) == 0 and solver is None and discretization == "chord"
-    if unordered and usual and isinstance(scales, str) and scales == "auto":
-        scales = "mean"
     options = Options(scales, assume, norm, discretization, thresholds, bounds, solver, key)
+    if unordered and not options.by_steps and isinstance(scales, str) and scales == "auto":
+        options = options._replace(scales="mean")
     found = identify_unchecked(array, times, dt, options, inside_a_trace)
     if unordered:
         found = replace(found, warning_codes=found.warning_codes | int(Caution.UNORDERED))
@@ -119,9 +118,7 @@ def identify_unchecked(
     samples, reach, allowed = check_options(options, array.shape[-3])
     wide = not inside_a_trace and not isinstance(array, jax.Array) and array.dtype == np.float64
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
-        by_steps = exponent != 0 or solver is not None or discretization != "chord"
-        if samples < 0 and by_steps:
-            samples = np.int32(1)
+        samples = np.int32(1) if samples < 0 and options.by_steps else samples
         dtype = jax.dtypes.canonicalize_dtype(array.dtype)
         steps = take_steps(array, times, dt).astype(dtype)
         level = None if thresholds is None else jax.tree.map(lambda t: jnp.asarray(t, dtype), thresholds)
@@ -143,7 +140,7 @@ def identify_unchecked(
             found = _on_mesh(run, array, steps, arrays)
         else:
             # velocities of single steps must not see the padding
-            found = _on_host(run, array, steps, arrays, pad=not by_steps and samples != 1)
+            found = _on_host(run, array, steps, arrays, pad=not (samples == 1 or options.by_steps))
     if inside_a_trace:
         return found
     found = narrow(found)
@@ -175,7 +172,7 @@ def _on_host(run: Any, poses: Any, steps: Any, options: tuple[Any, ...], pad: bo
     def of_piece(poses: Any, steps: Any, length: Any, _: None, number: Any) -> Identification:
         return run(poses, steps, length, options, number)
 
-    found: Identification = run_in_pieces(of_piece, poses, steps, None, _CHUNK, bool(pad))
+    found: Identification = run_in_pieces(of_piece, poses, steps, None, _CHUNK, pad)
     return replace(found, counted=found.counted[..., : poses.shape[-3]]) if poses.ndim > 3 else found
 
 

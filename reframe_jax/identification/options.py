@@ -14,6 +14,7 @@ from reframe_jax.identification.inputs import read_numbers
 from reframe_jax.identification.naming import codes_of
 from reframe_jax.model.table import ENTRIES
 from reframe_jax.motion.kinematics import Discretization
+from reframe_jax.objectives.norms import check_exponent
 from reframe_jax.solvers import Solver
 
 _FARTHEST = 1e6  # m, largest bounds: larger than any mechanism, and its powers are finite in float32
@@ -46,6 +47,11 @@ class Options(NamedTuple):
     bounds: ArrayLike | None = None
     solver: Solver | None = None
     key: jax.Array | None = None
+
+    @property
+    def by_steps(self) -> bool:
+        """Whether the paper's search, over velocities of single steps, replaces that over time scales."""
+        return check_exponent(self.norm) != 0 or self.solver is not None or self.discretization != "chord"
 
 
 def take_scales(scales: Any, poses: int) -> np.int32:

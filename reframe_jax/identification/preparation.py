@@ -70,19 +70,16 @@ def prepare_windows(
     unit = jax.lax.stop_gradient(unit_of_rounding(position, counted))
     section = None
     if not single_steps:
-        automatic = scales < 0
         times = jnp.concatenate([jnp.zeros_like(steps[:, :1]), jnp.cumsum(steps, axis=1)], axis=1)
         times = jnp.broadcast_to(times, own.shape).T
-        rotation, position, counted = repair_poses(rotation, position, times, number, unit, automatic)
-        section = jnp.broadcast_to(sections_of(steps) * automatic, own.shape)
+        rotation, position, counted = repair_poses(rotation, position, times, number, unit, scales < 0)
+        section = jnp.broadcast_to(sections_of(steps) * (scales < 0), own.shape)
     still = jax.lax.stop_gradient((position, kinematics.turns_of(rotation)))
     noise = jnp.stack(estimate_noise(*still, counted, unit), axis=1)
     distance = jnp.sqrt(jnp.max(jnp.where(counted, jnp.sum(jnp.square(still[0]), axis=0), 0), axis=0))
     # poses without order give no estimate of the noise except the rounding error
-    rounding = (
-        4 * float(jnp.finfo(poses.dtype).eps) * jnp.stack([distance, jnp.full_like(distance, np.pi)], 1)
-    )
-    noise = jnp.where(scales == 0, rounding, noise)
+    size = jnp.stack([distance, jnp.full_like(distance, np.pi)], axis=1)
+    noise = jnp.where(scales == 0, 4 * float(jnp.finfo(poses.dtype).eps) * size, noise)
     features = pose_features(rotation, position, steps, counted, count)
     moments = scale_moments(features.values, counted.T, count, section, scales == 0)
     box = jnp.maximum(_REACH, _REACH * distance)
