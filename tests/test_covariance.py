@@ -144,9 +144,11 @@ def test_intervals_are_as_wide_as_parts_differ(rng: np.random.Generator, assume:
     measured, white = interval_widths(whole, poses)
     assert apart[1] > 3e-3
     # the refit of a part differs slightly from its identification
-    assert measured[1] > 0.9 * apart[1] > white[1]
+    assert measured[1] > 0.9 * apart[1]
+    assert apart[1] > white[1]
     if assume == "hinge":
-        assert measured[0] > 0.9 * apart[0] > white[0]
+        assert measured[0] > 0.9 * apart[0]
+        assert apart[0] > white[0]
 
 
 def test_intervals_are_as_wide_as_redundant_axes_differ(rng: np.random.Generator) -> None:
@@ -186,8 +188,8 @@ def knee(seed: int) -> np.ndarray:
 
 def test_intervals_hold_the_estimates_of_parts() -> None:
     """Of knees, whose halves and thirds may have other types: those of the same type are compared."""
-    compared = 0
-    for seed in range(5):
+    turns, shifts = [], []
+    for seed in range(10):
         poses = knee(seed)
         whole = rf.identify(poses, dt=DT, assume="hinge")
         axis, free = np.asarray(whole.angular.axes)[:, 2], np.asarray(whole.linear.free_position)
@@ -195,12 +197,13 @@ def test_intervals_hold_the_estimates_of_parts() -> None:
         for first, end in ((0, 99), (99, 198), (0, 66), (66, 132), (132, 198)):
             part = rf.identify(poses[first:end], dt=DT, assume="hinge")
             if part.angular.frame_type == whole.angular.frame_type:
-                assert np.linalg.norm(np.cross(axis, np.asarray(part.angular.axes)[:, 2])) < turn
+                turns.append(np.linalg.norm(np.cross(axis, np.asarray(part.angular.axes)[:, 2])) < turn)
             if part.linear.frame_type == whole.linear.frame_type:
                 apart = np.asarray(part.linear.position) - np.asarray(whole.linear.position)
-                assert np.linalg.norm(apart - free @ apart) < shift
-                compared += 1
-    assert compared >= 12
+                shifts.append(np.linalg.norm(apart - free @ apart) < shift)
+    assert len(shifts) >= 24
+    assert np.mean(turns) >= 0.95
+    assert np.mean(shifts) >= 0.95
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -93,8 +93,7 @@ def take_steps(poses: Any, times: Any, dt: Any) -> Any:
     They are those of the sample times, (K+1,) or (..., K+1) s, or ``dt``, s: a scalar, (K,) or (..., K).
 
     Raises:
-        ValueError: unless exactly one of ``times`` and ``dt`` is given, with real numbers in one of these
-            shapes.
+        ValueError: unless exactly one of ``times`` and ``dt`` is given, as real numbers of these shapes.
     """
     samples, batch = poses.shape[-3] - 1, poses.shape[:-3]
     if (times is None) == (dt is None):

@@ -43,7 +43,7 @@ def identify_windows(
     window = prepare_windows(poses, steps, count, bounds, scales, single_steps)
     fixed: Prepared = jax.lax.stop_gradient(window)
     # amplitudes are those of the whole recording, whatever the scales of the search
-    used, whole = choose_scales(fixed.moments, fixed.noise, scales)
+    used, weight = choose_scales(fixed.moments, fixed.noise, scales)
     of_steps = origins = None
     if single_steps or exponent != 0 or solver is not None or discretization != "chord":
         of_steps = step_moments(window.poses, window.steps, discretization)
@@ -51,9 +51,9 @@ def identify_windows(
     compare = thresholds is None
     searched = used.of_steps() if single_steps and not compare else used
     solved = solve_windows(
-        fixed.features, fixed.moments, searched, whole, fixed.noise, fixed.box, allowed, origins, compare
+        fixed.features, fixed.moments, searched, weight, fixed.noise, fixed.box, allowed, origins, compare
     )
     live = window.moments._replace(details=used.details)
     of_steps = of_steps if single_steps else None
     assumed = ~jnp.all(allowed)
-    return report_windows(window, live, whole.scale_weight, solved, thresholds, exponent, of_steps, assumed)
+    return report_windows(window, live, weight, solved, thresholds, exponent, of_steps, assumed)

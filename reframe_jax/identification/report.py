@@ -143,9 +143,8 @@ def _report_window(
     )
     at_bound = jnp.any(jnp.abs(fitted.origin) > _AT_BOUND * window.box) & (jnp.trace(any_position) < 2.5)
     improbable = winner.name_probability < 0.5
-    noisy = jnp.any((live.details > 0) & (scale_weight == 0))
     marks = {Caution.IMPROBABLE: improbable & ~assumed, Caution.IMPROBABLE_ASSUMED: improbable & assumed}
-    marks[Caution.NOISY_SCALE] = noisy
+    marks[Caution.NOISY_SCALE] = jnp.any((live.details > 0) & (scale_weight == 0))
     codes = caution_codes(velocities, (found.angular.rms, found.linear.rms), thresholds, marks)
     return found, at_bound, codes
 

@@ -17,8 +17,7 @@ class Evidence(NamedTuple):
         error_of_noise: slow error per unit of white noise; its square is added to that of the median.
         error_spread: standard deviation of the log of slow errors (a factor 5); results depend most on it.
         error_correlation: correlation of the logs of slow errors of positions and of rotations.
-        tilt_above: exponent n of the density (e^2 / (e^2 + tilt^2))^n of a tilt, with e the slow rotation
-            errors.
+        tilt_above: exponent n of the density (e^2 / (e^2 + tilt^2))^n of a tilt; e is the slow turn.
         turn, turn_spread: median free rotation, rad, and the standard deviation of its log.
         lever, lever_spread: median ratio of free translation to free rotation, m/rad, and the standard
             deviation of its log.
@@ -27,7 +26,7 @@ class Evidence(NamedTuple):
             rotation causes.
         amplitude_variance: variance of the log of a mean square, in addition to its sampling variance.
         worth: largest number of independent values in the comparison of held covariances between entries.
-        repeatable_part: amplitude, as a fraction of the slow errors, that is added in this comparison to
+        repeatable_part: amplitude, as a fraction of the least slow error, that is added in this comparison to
             every coordinate of entries with more freedom.
         per_parameter: cost of a parameter, in log evidence.
         screw_worth: largest number of independent values in the comparison of the translation of a screw
@@ -50,7 +49,7 @@ class Evidence(NamedTuple):
     scale_error: float = 0.12
     amplitude_variance: float = 0.03
     worth: float = 2.5
-    repeatable_part: float = 0.05
+    repeatable_part: float = 0.5
     per_parameter: float = 1.0
     screw_worth: float = 6.0
     pitch_cost: float = log(13.8 * 7)
@@ -60,8 +59,7 @@ class Scales(NamedTuple):
     """Constants of the choice of scales.
 
     Attributes:
-        above_noise: ratio of block differences to their noise above which a scale is used, for position and
-            rotation.
+        above_noise: a scale is used if block differences of positions or rotations exceed so many noises.
     """
 
     above_noise: float = 6.0

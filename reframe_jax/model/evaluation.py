@@ -56,7 +56,7 @@ class UniversalMoments(NamedTuple):
 def window_statistics(
     features: Features,
     moments: Moments,
-    whole: Moments,
+    scale_weight: Array,
     paths: Array,
     noise: Array,
     origins: Array,
@@ -67,20 +67,18 @@ def window_statistics(
     Args:
         features: features of the windows.
         moments: moments of all scales.
-        whole: the same moments, with 0 details at scales that do not count.
+        scale_weight: (N, S) weights of the scales in an amplitude.
         paths: (3, 3, S, 5, N) m^2, moments of the translations in ``PATHS`` at ``origins``.
         noise: (N, 2) m and rad, white noise of a pose.
         origins: (3, 4, N) m, origin of every linear type.
         universal_axes: axes a and b of the universal joint, (3, N) each.
     """
     rotations = jnp.moveaxis(features.to_rotation[:, :, z.TURN_GROUND], 0, -1).transpose(1, 2, 0, 3)
-    details, all_details, white = whole.details.T, moments.details.T, moments.white.T
     levers = _squared_levers(features, rotations, origins)
     turns = jnp.moveaxis(moments.products[:, 0, z.TURN_BODY, z.TURN_BODY], 0, -1)
     noise = _limited_noise(paths[:, :, 0], turns, levers, moments.details[:, 0], noise.T)
-    per_scale = details, all_details, whole.scale_weight.T, white, noise
     return WindowStatistics(
-        spectra=Spectra(*(leaf[:, None] for leaf in per_scale)),
+        spectra=Spectra(*(s[:, None] for s in (moments.details.T, scale_weight.T, moments.white.T, noise))),
         mean=jnp.moveaxis(features.mean_rotation, 0, -1),
         rotations=rotations,
         levers=levers,

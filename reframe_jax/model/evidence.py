@@ -13,8 +13,8 @@ errors are correlated: errors of rotation cause errors of position. The densitie
 are smooth functions of the logarithm, so the trapezoidal rule is accurate with coarse steps.
 
 Two terms are added. The first is a likelihood that compares the covariances of the held coordinates between
-entries; it counts few independent values, because the samples of a motion are correlated. Errors that repeat
-with the motion, such as those of an arm with wrong link lengths, can agree exactly with more freedom.
+entries, all scales alike; it counts few independent values, because the samples of a motion are correlated.
+Errors that repeat with the motion, as of an arm with wrong link lengths, can agree exactly with more freedom.
 Therefore, in entries with more free axes than that with the most probable amplitudes, variances far below the
 slow errors do not count. The second term costs one unit of log evidence per parameter.
 """
@@ -62,8 +62,7 @@ _MOTIONS, _SLOW_ERRORS = _motions(), _slow_errors()
 class Spectra(NamedTuple):
     """Statistics of the scales of a window."""
 
-    details: Array  # (S,) number of independent details, 0 at unused scales
-    all_details: Array  # (S,) number of independent details, also at unused scales
+    details: Array  # (S,) number of independent details, also at unused scales
     scale_weight: Array  # (S,) weight of a scale in the variance of a coordinate; 0 at unused scales
     white: Array  # (S,) variance of a detail for white noise of variance 1
     noise: Array  # (2,) m and rad, standard deviation of the white noise of a pose
@@ -77,7 +76,7 @@ class Amplitudes(NamedTuple):
     variance: Array  # (6,) variance of the logarithm of ``square``
     independent: Array  # (6,) number of independent values
     lever: Array  # (6,) squared sensitivity to a rotation, m^2 or 1
-    log_variance: Array  # (6,) mean over the scales of the logarithm of the variance
+    log_variance: Array  # (6,) mean over the used scales of the logarithm of the variance
     consistency: Array  # () mean log |det| of the derivative of the coordinates with respect to the pose
 
 
@@ -133,17 +132,17 @@ def amplitudes_of(coordinates: Coordinates, entry: Table, spectra: Spectra) -> A
     square = total(parts, 1)
     noise = coordinates.gain * spectra.noise[0] ** 2 + lever * spectra.noise[1] ** 2
     # the white noise is at most the variance at any scale
-    shown = jnp.where(spectra.all_details[:-1] > 0, each[:, :-1] / spectra.white[:-1], jnp.inf)
+    shown = jnp.where(spectra.details[:-1] > 0, each[:, :-1] / spectra.white[:-1], jnp.inf)
     noise = jnp.minimum(noise, -largest(-shown, 1)) * total(scale_weight * spectra.white, 0) + 0.1 * _TINY
-    variance = total(2 * jnp.square(parts) / jnp.maximum(spectra.all_details, 1), 1) / square**2
-    fraction = (spectra.details / total(spectra.details, 0)).astype(jnp.float32)
+    variance = total(2 * jnp.square(parts) / jnp.maximum(spectra.details, 1), 1) / square**2
+    used = (scale_weight > 0).astype(jnp.float32)
     return Amplitudes(
         square=square,
         noise=noise,
         variance=jnp.minimum(variance, 1) + C.amplitude_variance,
         independent=2 / jnp.maximum(variance, 0.01),
         lever=lever,
-        log_variance=total(jnp.log(each.astype(jnp.float32)) * fraction, 1).astype(dtype),
+        log_variance=(total(jnp.log(each.astype(jnp.float32)) * used, 1) / total(used, 0)).astype(dtype),
         consistency=coordinates.consistency,
     )
 
@@ -234,9 +233,9 @@ def _raised(log_variance: Array, table: Table, best: Array) -> Array:
 
     The held coordinates of the entry ``best`` (E, ...) bool show how large the slow errors are.
     """
-    shown = jnp.where(table.held & best, log_variance, -jnp.inf)
-    most = jnp.max(shown.reshape(2, 3 * len(best), *best.shape[1:]), axis=1)  # of rotations, of translations
-    least = jnp.repeat(most, 3, axis=0) + 2 * log(C.repeatable_part)
+    shown = jnp.where(table.held & best, log_variance, jnp.inf).reshape(2, -1, *best.shape[1:])
+    least = jnp.repeat(jnp.min(shown, axis=1), 3, axis=0)  # of rotations, of translations
+    least = jnp.where(jnp.isfinite(least), least + 2 * log(C.repeatable_part), -jnp.inf)
     number = total(table.held.astype(log_variance.dtype), 0)
     freer = table.pitch | (number < jnp.max(jnp.where(best, number, 0), axis=0))
     return jnp.where(freer, jnp.logaddexp(log_variance, least[:, None]), log_variance)

@@ -25,7 +25,7 @@ class Moments(NamedTuple):
 
     Attributes:
         products: (N, S, F, F) mean of z z' over the details of a scale.
-        details: (N, S) number of independent details; 0 where a window has no such scale.
+        details: (N, S) number of independent details; see :meth:`using`. 0 where a window has no such scale.
         width: (N, S) poses in a block, h.
     """
 
@@ -36,6 +36,16 @@ class Moments(NamedTuple):
     def of_steps(self) -> "Moments":
         """Select the details of consecutive poses, and the smooth part."""
         return Moments(*(leaf[:, np.array([0, -1])] for leaf in self))
+
+    def using(self, scales: jax.Array) -> "Moments":
+        """Use scales (..., S) bool: replace the numbers of details n_s by weights for sums over scales.
+
+        White errors have n_s independent values at a scale; errors as slow as the motion have equally many at
+        all scales, the fewest n_s. The weight is the geometric mean of both, and 0 at unused scales.
+        """
+        details = self.details * scales
+        fewest = jnp.min(details, axis=-1, keepdims=True, where=details > 0, initial=1e30)
+        return self._replace(details=jnp.sqrt(details * fewest))
 
     @property
     def scale_weight(self) -> jax.Array:

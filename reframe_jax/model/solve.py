@@ -59,8 +59,8 @@ class Solved(NamedTuple):
     tilt_scale: Array
 
 
-def choose_scales(moments: Moments, noise: Array, scales: Array) -> tuple[Moments, Moments]:
-    """Set the details of unused scales to 0.
+def choose_scales(moments: Moments, noise: Array, scales: Array) -> tuple[Moments, Array]:
+    """Weight the scales to use; see :meth:`.Moments.using`.
 
     Args:
         moments: moments of N windows at all scales.
@@ -68,8 +68,8 @@ def choose_scales(moments: Moments, noise: Array, scales: Array) -> tuple[Moment
         scales: () int, the sum of the block widths to use, in samples; 0 or less for the default.
 
     Returns:
-        Moments at the scales to use, and at those of the default: the smooth part and every scale at which
-        the motion exceeds the noise.
+        Moments at the scales to use, and the weights (N, S) in a variance of those of the default: the smooth
+        part and every scale at which the motion exceeds the noise.
     """
     last = moments.details.shape[1] - 1
     index = jnp.arange(last + 1)
@@ -85,15 +85,14 @@ def choose_scales(moments: Moments, noise: Array, scales: Array) -> tuple[Moment
     details = jnp.sum(moments.details[:, :-1] > 0, axis=1)
     keep = keep | (index >= details[:, None] - 1)
     asked = ((moments.width.astype(jnp.int32) & scales) > 0) & (index < last)
-    used, whole = (jnp.where(of, moments.details, 0) for of in (jnp.where(scales > 0, asked, keep), keep))
-    return moments._replace(details=used), moments._replace(details=whole)
+    return moments.using(jnp.where(scales > 0, asked, keep)), moments.scale_weight * keep
 
 
 def solve_windows(
     features: Features,
     moments: Moments,
     used: Moments,
-    whole: Moments,
+    scale_weight: Array,
     noise: Array,
     box: Array,
     allowed: Array,
@@ -106,7 +105,7 @@ def solve_windows(
         features: features of N windows.
         moments: moments of all scales.
         used: the same moments, with 0 details at scales that the search and the fit do not use.
-        whole: the same moments, with 0 details at scales that the amplitudes do not use.
+        scale_weight: (N, S) weights of the scales in an amplitude.
         noise: (N, 2) m and rad, white noise of every component of a pose.
         box: (N,) m, half the width of the cube in which origins lie.
         allowed: (E,) bool, entries that may be chosen.
@@ -115,21 +114,21 @@ def solve_windows(
             the linear types are computed.
     """
     products = jnp.moveaxis(used.products, (0, 1), (3, 2))
+    details, used_weight = used.details.T, used.scale_weight.T
+    all_scales = total(products * used_weight, 2)
     coefficients = polynomials(products, ROWS[LINEAR_KINDS])
     if origins is None:
-        unexplained = unexplained_covariance(total(products * used.scale_weight.T, 2), ROWS[LINEAR_KINDS])
-        place, norm = lowest_origins(coefficients, used.details.T, box, unexplained)
+        unexplained = unexplained_covariance(all_scales, ROWS[LINEAR_KINDS])
+        place, norm = lowest_origins(coefficients, details, box, unexplained)
     else:
         place = jnp.moveaxis(origins, (0, 1), (2, 1))
-        norm = norm_at(coefficients, used.details.T, place)
-    details, scale_weight = used.details.T, used.scale_weight.T
+        norm = norm_at(coefficients, details, place)
     mean = jnp.moveaxis(features.mean_rotation, 0, -1)
     moments_of_paths = entry_moments(products, mean)
     forms = moments_of_paths.at(jnp.pad(place, ((0, 0), (0, 1), (0, 0))))  # the position has no origin
     paths = forms.path[:, :, :, : len(LinearType)]
     turns = jnp.stack([products[r, r] for r in (z.TURN_GROUND, z.TURN_BODY)], axis=3)
-    axes = common_frames(paths, turns, products[z.POSITION, z.POSITION], details, scale_weight)
-    all_scales = total(products * scale_weight, 2)
+    axes = common_frames(paths, turns, products[z.POSITION, z.POSITION], details, used_weight)
     crossed = universal_axes(axes, products, details, jnp.moveaxis(features.mean_matrix, 0, -1))
     starts = entry_starts(place, axes, crossed, all_scales, mean)
     solved = Solved(
@@ -145,7 +144,7 @@ def solve_windows(
     )
     if not compare_entries:
         return solved
-    windows = window_statistics(features, moments, whole, forms.path, noise, place, crossed)
+    windows = window_statistics(features, moments, scale_weight, forms.path, noise, place, crossed)
     problem = _Comparison(moments_of_paths, forms, starts, details, solved.tilt_scale, box)
     log_probability, chosen, parameters = _compare_entries(problem, windows, allowed)
     return solved._replace(log_probability=log_probability.T, parameters=parameters, chosen=chosen.T)

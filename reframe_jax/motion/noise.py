@@ -53,9 +53,8 @@ def estimate_noise(
     """Estimate the standard deviation of the white noise in each component of position and orientation.
 
     The function computes an estimate from the median length of the differences of order 4 and 6, and returns
-    the lower one, or the rounding error for fewer than eight poses. It ignores constant components, which a
-    planar tracker, for example, does not measure. The noise of rounded positions is at least their rounding
-    error.
+    the lower one, or the rounding error for fewer than eight poses. It ignores constant components, as of a
+    planar tracker. The noise of rounded positions is at least their rounding error.
 
     Args:
         position: (3, K+1, N) m.

@@ -253,7 +253,8 @@ def _fit_window(window: Windows, products: Array, details: Array, poses: Array) 
 
         (slopes, of_weights), (numbers, weights) = jax.jacfwd(after, has_aux=True)(jnp.zeros_like(prior))
         local = numbers, slopes, weights, of_weights
-        return Refit(parameters.tilt, products, details, *local, poses, entry, prior)
+        fewest = jnp.min(details, where=details > 0, initial=1e30)  # to invert Moments.using
+        return Refit(parameters.tilt, products, details**2 / fewest, *local, poses, entry, prior)
 
     return jax.vmap(expand)(parameters, products, details, poses)
 

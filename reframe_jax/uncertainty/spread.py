@@ -98,8 +98,7 @@ def _spread_of_fit(fit: Refit) -> tuple[Array, Array, Array]:
     """Covariance of the nine components of one part, and the difference between two estimates of the axes.
 
     The variances of constrained coordinates are estimates from the independent values of each scale. The
-    degrees of freedom follow from Welch and Satterthwaite; each scale has a weight proportional to its
-    information.
+    degrees of freedom follow from Welch and Satterthwaite, with the information of the scales as weights.
 
     If the constraint has one axis through both bodies, the tilt is the difference between its estimates.
     Otherwise one estimate is from rotations, and the other from translations, each after one scoring step.
