@@ -9,6 +9,7 @@ Groups of recordings (:mod:`benchmarks.golden_cases` has the simulations):
 - ``white``: seventeen constraints with white noise of 1 um to 3 mm, at 10 and 100 Hz, three motions;
 - ``soft``: the same constraints with slow errors of 0.1 to 3 mm and 0.5 to 10 mrad, at 20 Hz;
 - ``repeatable``: the same with errors that depend on the pose only, as those of an arm with wrong lengths;
+- ``correlated``: the same with errors that are correlated over some samples, at 50 Hz;
 - ``stops``: the same constraints, with white noise or slow errors, moved in three parts with rests between;
 - ``faults``: the same constraints, with white noise and poses that jump, or with a missing second;
 - ``nothing``: unconstrained motions with white noise or slow errors;

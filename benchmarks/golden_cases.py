@@ -17,6 +17,7 @@ Slow errors are sums of three sines of 0.1 to 1.2 Hz in random directions, half 
 of the ground and half in the axes of the body; their size is the rms of each component, and encoder noise of
 1 um and 3 urad comes on top. Repeatable errors depend on the pose only, like those of an arm whose links are
 not as long as its model says: random quadratic functions of the displacement, with the same sizes.
+Correlated errors are white noise after a filter with a time constant of 60 ms, or vibrations of 7 to 11 Hz.
 """
 
 import zlib
@@ -26,6 +27,7 @@ from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 __all__ = ["CONSTRAINTS", "PLANS", "Case", "Spec", "Truth", "arm_cases", "simulate", "unique_type"]
@@ -168,6 +170,12 @@ def nothing_specs() -> Iterator[Spec]:
         yield Spec("nothing", "unconstrained", motion, 20, ENCODER[0], slow, turn, seed)
 
 
+def correlated_specs() -> Iterator[Spec]:
+    kinds, moving = ("filter", "vibration"), [label for label in CONSTRAINTS if label != "fixed"]
+    for seed, kind, (slow, turn), label in product((50, 51), kinds, ((3e-4, 1e-3), (1e-3, 3e-3)), moving):
+        yield Spec("correlated", label, "measured", 50, ENCODER[0], slow, turn, seed, kind)
+
+
 def stops_specs() -> Iterator[Spec]:
     moving = [label for label in CONSTRAINTS if label != "fixed"]
     for (slow, turn), label in product(((0.0, 0.0), *SLOW[:3]), moving):
@@ -192,6 +200,7 @@ PLANS = {
     "white": white_specs,
     "soft": soft_specs,
     "repeatable": repeatable_specs,
+    "correlated": correlated_specs,
     "stops": stops_specs,
     "faults": faults_specs,
     "nothing": nothing_specs,
@@ -210,6 +219,7 @@ _PAPER[:3, :, 0] = (
 )
 _PAPER[:3, 0, 1] = 0.5, 2, 0
 _STOPS = 0.6  # rests per second
+_FILTER = 0.06  # s, time constant of correlated errors
 
 
 def simulate(specs: Sequence[Spec]) -> list[Case]:
@@ -340,6 +350,8 @@ def _disturb(spec: Spec, rotation: np.ndarray, position: np.ndarray, rng: np.ran
     white[1] *= ENCODER[1] / ENCODER[0] if spec.slow else 1 / LEVER
     if spec.group == "repeatable":
         slow = np.array([_repeatable_error(rotation, position, rng) for _ in range(4)]) / np.sqrt(2)
+    elif spec.group == "correlated":
+        slow = np.array([_correlated_error(spec.fault, times, rng) for _ in range(4)]) / np.sqrt(2)
     else:
         slow = np.array([_slow_error(times, rng) for _ in range(4)]) / np.sqrt(2)
     shift = spec.slow * (slow[0] + np.einsum("kij,kj->ki", rotation, slow[1]))
@@ -374,6 +386,16 @@ def _slow_error(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     rate, phase = 2 * np.pi * rng.uniform(0.1, 1.2, 3), rng.uniform(0, 2 * np.pi, 3)
     error = np.sin(times[:, None] * rate + phase) @ direction
     return np.asarray(error / np.sqrt(np.mean(error**2)))
+
+
+def _correlated_error(kind: str, times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Error (K, 3) with an RMS of 1 per component: filtered white noise, or a vibration."""
+    if kind == "vibration":
+        rate, phase = 2 * np.pi * rng.uniform(7, 11, 3), rng.uniform(0, 2 * np.pi, 3)
+        return np.asarray(np.sqrt(2) * np.sin(times[:, None] * rate + phase))
+    keep = np.exp(-(times[1] - times[0]) / _FILTER)
+    noise = rng.normal(size=(len(times) + 100, 3))
+    return np.asarray(lfilter([np.sqrt(1 - keep**2)], [1, -keep], noise, axis=0)[100:])
 
 
 def _repeatable_error(rotation: np.ndarray, position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
