@@ -107,7 +107,7 @@ def test_keys_are_unique_and_start_with_their_group():
     keys = {f"{spec.group}/{spec.recording}" for spec in specs}
     assert len(keys) == len(specs)
     assert {spec.group for spec in specs} == set(made.PLANS)
-    assert {100 // spec.rate for spec in specs} == {1, 5, 10}
+    assert {100 // spec.rate for spec in specs} == {1, 2, 5, 10}
 
 
 @pytest.fixture
