@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import reframe_jax as rf
 from benchmarks import golden
 from benchmarks import golden_cases as made
 
@@ -311,3 +312,17 @@ def test_a_small_run_writes_every_figure(tmp_path, capsys):
 def test_the_committed_run_has_all_groups():
     stored = json.loads((golden.Path(golden.__file__).parent / "results" / "golden.json").read_text())
     assert set(stored["summary"]) >= {"real", *made.PLANS}
+
+
+def test_correlated_errors_hide_no_constraint():
+    """Vibrations and filtered noise, which are as large as the motion at the smallest scales."""
+    cases = made.simulate([*made.correlated_specs()][::4])
+    found = rf.identify(
+        np.array([case.poses for case in cases]), times=np.array([case.times for case in cases])
+    )
+    answers = golden.read_answers(found)
+    right = np.array([golden.is_right(case, answer) for case, answer in zip(cases, answers, strict=True)])
+    confident = np.array([answer["p"] > 0.9 for answer in answers])
+    assert right[confident].all()
+    assert np.mean(right) >= 0.95
+    assert np.mean(confident) >= 0.85

@@ -14,7 +14,7 @@ class Constraint:
         label: letter of the paper's Figure 2, or a word such as "spherical" for a constraint outside the
             paper.
         name: name in the paper's Table 2, or the common name of the joint.
-        angular_dof, linear_dof: 1 for each free axis, 0 for each constrained axis; both of the same axes.
+        angular_dof, linear_dof: 1 for each free axis, 0 for each constrained axis; the axes are the same.
         linear_type: the only linear frame type that can express the constraint, or None if all four can. Both
             angular types can express every constraint.
         angular_axis, linear_axis: index of the frame axis whose direction a motion determines; None if a

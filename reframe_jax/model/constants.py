@@ -17,7 +17,7 @@ class Evidence(NamedTuple):
         error_of_noise: slow error per unit of white noise; its square is added to that of the median.
         error_spread: standard deviation of the log of slow errors (a factor 5); results depend most on it.
         error_correlation: correlation of the logs of slow errors of positions and of rotations.
-        tilt_above: exponent n of the density (e^2 / (e^2 + tilt^2))^n of a tilt; e is the slow turn.
+        tilt_above: exponent n of the density (e^2 / (e^2 + tilt^2))^n of a tilt; e: slow rotation error.
         turn, turn_spread: median free rotation, rad, and the standard deviation of its log.
         lever, lever_spread: median ratio of free translation to free rotation, m/rad, and the standard
             deviation of its log.
@@ -26,8 +26,8 @@ class Evidence(NamedTuple):
             rotation causes.
         amplitude_variance: variance of the log of a mean square, in addition to its sampling variance.
         worth: largest number of independent values in the comparison of held covariances between entries.
-        repeatable_part: amplitude, as a fraction of the least slow error, that is added in this comparison to
-            every coordinate of entries with more freedom.
+        repeatable_part: amplitude, as a fraction of the smallest slow error, that is added in this comparison
+            to every coordinate of entries with more freedom.
         per_parameter: cost of a parameter, in log evidence.
         screw_worth: largest number of independent values in the comparison of the translation of a screw
             with its rotation.

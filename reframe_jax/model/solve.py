@@ -104,7 +104,7 @@ def solve_windows(
     Args:
         features: features of N windows.
         moments: moments of all scales.
-        used: the same moments, with 0 details at scales that the search and the fit do not use.
+        used: the same moments, with the weights of the scales in the search and in the fit.
         scale_weight: (N, S) weights of the scales in an amplitude.
         noise: (N, 2) m and rad, white noise of every component of a pose.
         box: (N,) m, half the width of the cube in which origins lie.
