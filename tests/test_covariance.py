@@ -144,8 +144,7 @@ def test_intervals_are_as_wide_as_parts_differ(rng: np.random.Generator, assume:
     measured, white = interval_widths(whole, poses)
     assert apart[1] > 3e-3
     # the refit of a part differs slightly from its identification
-    assert measured[1] > 0.9 * apart[1]
-    assert apart[1] > white[1]
+    assert measured[1] > 0.9 * apart[1] > white[1]
     if assume == "hinge":
         assert measured[0] > 0.9 * apart[0]
         assert apart[0] > white[0]
@@ -202,7 +201,7 @@ def test_intervals_hold_the_estimates_of_parts() -> None:
                 apart = np.asarray(part.linear.position) - np.asarray(whole.linear.position)
                 shifts.append(np.linalg.norm(apart - free @ apart) < shift)
     assert len(shifts) >= 24
-    assert np.mean(turns) >= 0.95
+    assert all(turns)
     assert np.mean(shifts) >= 0.95
 
 
