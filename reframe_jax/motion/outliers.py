@@ -35,10 +35,7 @@ _SUDDEN = 0.4  # smallest distance of the ends of a run from the cubic, over tha
 _JUMP = 0.12  # fourth difference across either end of a run over the distance; at least 0.24 for a jump
 _MOST = 0.3  # largest fraction of outliers; with more, no pose is an outlier
 
-_FOURTH = np.array([1, -4, 6, -4, 1])  # weights of a fourth difference
-_NOISE_GAIN = 70**0.5  # length of these weights: white noise becomes larger by this factor
-# five poses across either end of a run, among those that _runs compares
-_ACROSS = np.array([[0, 1, 6, 9, 10], [3, 2, 8, 11, 12]], np.int32)
+_NOISE_GAIN = 70**0.5  # white noise is larger by this factor in a fourth difference
 
 
 def repair_poses(
@@ -65,7 +62,7 @@ def repair_poses(
     # the size of a jump is not a unit of rounding: rounded positions also have steps of one unit
     step = jnp.abs(jnp.diff(measured[:3], axis=1))
     unit = jnp.minimum(unit, jnp.min(jnp.where((step > 0) & own[1:], step, jnp.inf), axis=(0, 1)))
-    size = _lengths(jnp.diff(measured, n=4, axis=1)) / _NOISE_GAIN
+    size = _bends(measured)
     whole = jnp.broadcast_to(own[4:, None], (len(own) - 4, 2, own.shape[1]))
     noise = masked_median(jnp.swapaxes(size, 0, 1), whole)
     jumps = wanted & jnp.any(own[4:] & (size > _NOISES * noise[:, None]), axis=(0, 1))
@@ -127,13 +124,18 @@ def _runs(path: Array, noise: Array, count: Array, number: Array) -> Array:
         cut = partial(lax.dynamic_slice_in_dim, padded, axis=1, allow_negative_indices=False)
         return jnp.stack([cut(start_index=3 + offset, slice_size=len(start)) for offset in offsets], axis=1)
 
-    around = -2, -1, number, number + 1, -3, number + 2
-    near = at(*around, 0, number // 2, number - 1, 1, 2, number - 2, number - 3)
-    fourth = jnp.tensordot(jnp.asarray(_FOURTH / _NOISE_GAIN, path.dtype), near[:9, _ACROSS], (0, 2))
-    bend = jnp.min(_lengths(fourth), axis=1)
-    known = jnp.stack(jnp.broadcast_arrays(start >= 3, start + number + 3 <= count))
-    apart = _are_apart(near[:, :6], known, near[:, 6:9], bend, noise)
-    return apart & (start >= 2) & (start + number + 2 <= count)
+    bends = jnp.pad(_bends(path[:9]), ((0, 0), (2, _LONGEST + 2), (0, 0)))
+    at_end = lax.dynamic_slice_in_dim(bends, number - 1, len(start), 1, allow_negative_indices=False)
+    bend = jnp.minimum(bends[:, : len(start)], at_end)
+    possible = (start >= 2) & (start + number + 2 <= count)
+
+    def compare(_: None) -> Array:
+        near = at(-2, -1, number, number + 1, -3, number + 2, 0, number // 2, number - 1)
+        known = jnp.stack(jnp.broadcast_arrays(start >= 3, start + number + 3 <= count))
+        return possible & _are_apart(near[:, :6], known, near[:, 6:], bend, noise)
+
+    jumps = possible & (bend > _NOISES * noise[:, None])
+    return lax.cond(jnp.any(jumps), compare, lambda _: jnp.zeros_like(possible), None)
 
 
 def _ends(path: Array, noise: Array, count: Array) -> Array:
@@ -165,7 +167,7 @@ def _are_apart(around: Array, known: Array, run: Array, bend: Array | float, noi
     gaps = jnp.prod(jnp.where(gaps == 0, 1, gaps), axis=1)
     away = tested[9, :, None] - nodes[9]
     weights = jnp.prod(away, axis=1)[:, None] / jnp.where(away == 0, 1, away * gaps)
-    predicted = total(weights * nodes[:9, None], 2)
+    predicted = sum(weights[:, k] * nodes[:9, k, None] for k in range(4))
     gain = 1 + total(weights * weights, 1)
     distance = _lengths(tested[:9] - predicted)  # (2, 2 + M, ...)
     others, first, middle, last = distance[:, :2], *(distance[:, i] for i in (2, 2 + len(run[0]) // 2, -1))
@@ -178,6 +180,12 @@ def _are_apart(around: Array, known: Array, run: Array, bend: Array | float, noi
     agree = jnp.maximum(agree, repeats * _lengths(nodes[:9, 2] - nodes[:9, 1]))
     apart = (ends > limit) & (ends > agree) & (ends > _SUDDEN * middle)
     return jnp.any(apart & (bend > noise) & (bend > _JUMP * ends), axis=0)
+
+
+def _bends(path: Array) -> Array:
+    """Return fourth differences (2, P - 4, N) of a path (9, P, N) about its poses, with the size of noise."""
+    ends, beside = path[:, 4:] + path[:, :-4], path[:, 3:-1] + path[:, 1:-3]
+    return _lengths(ends - 4 * beside + 6 * path[:, 2:-2]) / _NOISE_GAIN
 
 
 def _lengths(x: Array) -> Array:
