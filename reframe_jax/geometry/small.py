@@ -62,7 +62,9 @@ def pick(array: Array, index: Array, axis: int) -> Array:
 def times(matrix: Array, vector: Array) -> Array:
     """Multiply matrices (m, n, ...) by vectors (n, ...) or by matrices (n, k, ...)."""
     if matrix.ndim == vector.ndim:
-        first, *others = (matrix[:, j, None] * vector[None, j] for j in range(len(vector)))
+        ones = (1,) * len(vector)
+        columns, rows = jax.lax.split(matrix, ones, 1), jax.lax.split(vector, ones)
+        first, *others = (column * row for column, row in zip(columns, rows, strict=True))
         return sum(others, first)
     return total(matrix * vector[None], 1)
 
@@ -225,5 +227,5 @@ def diagonalize(
 
 def _turn_two(columns: Array, cosine: Array, sine: Array) -> Array:
     """Columns (3, 3, ...): the first two turned into each other, the third, the new first."""
-    one, two, third = columns[:, 0], columns[:, 1], columns[:, 2]
-    return jnp.stack([two * cosine - one * sine, third, one * cosine + two * sine], axis=1)
+    one, two, third = jax.lax.split(columns, (1, 1, 1), 1)
+    return jnp.concatenate([two * cosine - one * sine, third, one * cosine + two * sine], axis=1)

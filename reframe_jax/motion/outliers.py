@@ -33,6 +33,7 @@ _NOISES = 4.0  # smallest distance from the cubic, in medians of its noise: six 
 _AGREE = 3.0  # the same, in distances of the two other poses from the cubic
 _SUDDEN = 0.4  # smallest distance of the ends of a run from the cubic, over that of its middle
 _JUMP = 0.12  # fourth difference across either end of a run over the distance; at least 0.24 for a jump
+_PARTS = 8  # parts of a batch of windows
 _MOST = 0.3  # largest fraction of outliers; with more, no pose is an outlier
 
 _NOISE_GAIN = 70**0.5  # white noise is larger by this factor in a fourth difference
@@ -69,11 +70,20 @@ def repair_poses(
     rounding = 64 * jnp.finfo(size.dtype).eps * (1 + jnp.max(jnp.abs(measured), axis=(0, 1)))
     noise = jnp.maximum(noise, jnp.stack([unit / 2, jnp.zeros_like(unit)])) + rounding
 
-    def search(_: None) -> Array:
-        # a window without a jump is not searched, whatever the other windows of the batch contain
-        return own & (_measured(jnp.concatenate([measured, times[None]]), noise, count) | ~jumps)
+    # only windows with jumps are searched, in parts, so that the other windows of the batch cost nothing
+    windows = len(jumps)
+    part = -(-windows // _PARTS)
+    order = jnp.argsort(~jumps, stable=True).astype(jnp.int32)
 
-    counted = lax.cond(jnp.any(jumps), search, lambda _: own, None)
+    def search(k: Array, counted: Array) -> Array:
+        at = jnp.take(order, k * part + jnp.arange(part, dtype=jnp.int32), mode="clip")
+        columns = partial(jnp.take, indices=at, axis=-1, mode="clip")
+        path = jnp.concatenate([columns(measured), columns(times)[None]])
+        found = _measured(path, columns(noise), columns(count)) | ~columns(jumps)
+        return counted.at[:, at].set(found & columns(own))
+
+    number = jnp.sum(jumps, dtype=jnp.int32)
+    counted = lax.fori_loop(0, (number + part - 1) // part, search, own)
     fraction = jnp.sum(own & ~counted, axis=0, dtype=position.dtype) / count.astype(position.dtype)
     counted = jnp.where(fraction <= _MOST, counted, own)
 
@@ -167,7 +177,7 @@ def _are_apart(around: Array, known: Array, run: Array, bend: Array | float, noi
     gaps = jnp.prod(jnp.where(gaps == 0, 1, gaps), axis=1)
     away = tested[9, :, None] - nodes[9]
     weights = jnp.prod(away, axis=1)[:, None] / jnp.where(away == 0, 1, away * gaps)
-    predicted = sum(weights[:, k] * nodes[:9, k, None] for k in range(4))
+    predicted = total(weights * nodes[:9, None], 2)
     gain = 1 + total(weights * weights, 1)
     distance = _lengths(tested[:9] - predicted)  # (2, 2 + M, ...)
     others, first, middle, last = distance[:, :2], *(distance[:, i] for i in (2, 2 + len(run[0]) // 2, -1))
