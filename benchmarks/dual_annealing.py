@@ -25,7 +25,7 @@ from scipy.optimize import dual_annealing
 import reframe_jax as rf
 from benchmarks.common import write_metrics
 from benchmarks.timing import in_chunks, timed
-from reframe_jax.identification.paper import step_moments
+from reframe_jax.identification.paper import velocity_map_moments
 from reframe_jax.motion import kinematics
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 from reframe_jax.simulation import metrics, synthetic
@@ -94,8 +94,7 @@ def jax_gradients(poses: np.ndarray, dt: float = DT) -> list[Callable[[np.ndarra
 @jax.jit
 def six_moments(poses: jax.Array, dt: float | jax.Array) -> tuple[jax.Array, jax.Array]:
     """Moments of single steps of windows (N, K+1, 4, 4): angular (6, 1, N, 2) and linear (6, 10, N, 4)."""
-    angular, linear = step_moments(poses, jnp.full((1, poses.shape[1] - 1), dt, poses.dtype), "chord")
-    return angular, linear
+    return velocity_map_moments(poses, jnp.full((1, poses.shape[1] - 1), dt, poses.dtype), "chord")
 
 
 @jax.jit

@@ -2,9 +2,12 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from reframe_jax.geometry.symmetric import INDEX_PAIRS
 from reframe_jax.identification.preparation import Prepared
-from reframe_jax.model.search import lowest_origins, unexplained_covariance
+from reframe_jax.model import features as z
+from reframe_jax.model.search import lowest_origins, polynomials, unexplained_covariance
 from reframe_jax.model.table import LINEAR_KINDS, ROWS
 from reframe_jax.motion import kinematics
 from reframe_jax.motion.kinematics import Discretization
@@ -31,22 +34,41 @@ def default_solver(norm: float = 0.0) -> BasinHopping | JointSearch:
     return _VALLEY if norm == 0 else _POSITIVE if norm > 0 else _NEGATIVE
 
 
-def step_moments(
+def step_moments(window: Prepared, discretization: Discretization) -> tuple[jax.Array, jax.Array]:
+    """Compute the second moments of the velocities of single steps.
+
+    The moments of angular velocities are (6, 1, N, 2), those of linear velocities (6, 10, N, 4); the last
+    axis lists the frame types.
+    """
+    if discretization != "chord":
+        return velocity_map_moments(window.poses, window.steps, discretization)
+    # the velocities are those of the features
+    rates = jnp.diff(window.features.values, axis=2) / window.steps[:, None]
+    products = jnp.einsum("nfk,ngk->fgn", rates, rates, precision="highest") / rates.shape[2]
+    one, other = np.array(INDEX_PAIRS, np.int32).T
+    turns = jnp.stack([products[rows, rows][one, other] for rows in (z.TURN_GROUND, z.TURN_BODY)], axis=-1)
+    linear = polynomials(products[:, :, None], ROWS[LINEAR_KINDS])[:, :, 0, :, 0]
+    return _positive(turns[:, None]), _positive(jnp.swapaxes(linear, 2, 3))
+
+
+def velocity_map_moments(
     poses: jax.Array, steps: jax.Array, discretization: Discretization
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute the second moments of the velocities of single steps, of poses (N, K+1, 4, 4), m.
+    """Compute the moments of :func:`step_moments` from poses (N, K+1, 4, 4), m.
 
-    The durations of the steps are (1, K) or (N, K), s. The moments of angular velocities are (6, 1, N, 2),
-    those of linear velocities (6, 10, N, 4); the last axis lists the frame types.
+    The durations of the steps are (1, K) or (N, K), s.
     """
-    found = []
-    for maps in kinematics.velocity_components(poses, steps, discretization):
-        moments = jnp.moveaxis(component_moments(maps), 2, -1)
-        columns = (0,) if moments.shape[1] == 1 else (0, 4, 7, 9)
-        squares = [moments[i, j] for i in (0, 3, 5) for j in columns]
-        floor = _FLOOR * float(jnp.finfo(moments.dtype).eps) * jnp.sum(jnp.stack(squares), axis=0)
-        found.append(add_variance(moments, jax.lax.stop_gradient(floor)))
-    return found[0], found[1]
+    maps = kinematics.velocity_components(poses, steps, discretization)
+    angular, linear = (_positive(jnp.moveaxis(component_moments(each), 2, -1)) for each in maps)
+    return angular, linear
+
+
+def _positive(moments: jax.Array) -> jax.Array:
+    """Add rounding errors to moments (6, 1 or 10, ...), so that covariances are positive definite."""
+    columns = (0,) if moments.shape[1] == 1 else (0, 4, 7, 9)
+    squares = [moments[i, j] for i in (0, 3, 5) for j in columns]
+    floor = _FLOOR * float(jnp.finfo(moments.dtype).eps) * jnp.sum(jnp.stack(squares), axis=0)
+    return add_variance(moments, jax.lax.stop_gradient(floor))
 
 
 def paper_origins(

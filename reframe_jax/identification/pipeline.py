@@ -46,7 +46,7 @@ def identify_windows(
     used, weight = choose_scales(fixed.moments, fixed.noise, scales)
     of_steps = origins = None
     if single_steps or exponent != 0 or solver is not None or discretization != "chord":
-        of_steps = step_moments(window.poses, window.steps, discretization)
+        of_steps = step_moments(window, discretization)
         origins = paper_origins(fixed, jax.lax.stop_gradient(of_steps[1]), exponent, solver, key)
     compare = thresholds is None
     searched = used.of_steps() if single_steps and not compare else used

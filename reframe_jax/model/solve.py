@@ -11,7 +11,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.experimental.layout import Layout, with_layout_constraint
 
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.geometry.small import pick, sandwich, times, total
@@ -114,9 +113,7 @@ def solve_windows(
         compare_entries: whether to compare entries; otherwise only the starting parameters and the origins of
             the linear types are computed.
     """
-    # windows last in memory too, where every operation reads them together
     products = jnp.moveaxis(used.products, (0, 1), (3, 2))
-    products = with_layout_constraint(products, Layout((0, 1, 2, 3)))
     details, used_weight = used.details.T, used.scale_weight.T
     all_scales = total(products * used_weight, 2)
     coefficients = polynomials(products, ROWS[LINEAR_KINDS])
