@@ -106,8 +106,8 @@ def twist_paths(rotation: Array, position: Array, steps: Array, count: Array | N
     """
     path, reach = mean_twists(rotation, position, steps, count) * steps.T, 1
     while reach < path.shape[3]:  # running sums, by doubling
-        earlier = jnp.pad(path[:, :, :, :-reach], ((0, 0), (0, 0), (0, 0), (reach, 0), (0, 0)))
-        path, reach = materialize(path + earlier), 2 * reach
+        later = path[:, :, :, reach:] + path[:, :, :, :-reach]
+        path, reach = jax.lax.dynamic_update_slice_in_dim(path, later, reach, 3), 2 * reach
     path = jnp.pad(path, ((0, 0), (0, 0), (0, 0), (1, 0), (0, 0)))
     return path[:, 0], path[:, 1]
 
