@@ -7,9 +7,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from algebra import moments_of_maps
 
 from reframe_jax.geometry.rotations import rotation_exp
-from reframe_jax.objectives.moments import velocity_moments
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 from reframe_jax.solvers import BasinHopping, Box, ValleySteps
 
@@ -43,7 +43,7 @@ WINDOWS, ORIGINS = zip(*(planted(RNG, free) for free in FREE), strict=True)
 @functools.cache
 def four_moments():
     """Of the four problems, (6, 10, 4)."""
-    return velocity_moments(jnp.asarray(np.stack(WINDOWS)))
+    return moments_of_maps(jnp.asarray(np.stack(WINDOWS)))
 
 
 VALLEY = BasinHopping(ValleySteps(10), restarts=4, hops=1)

@@ -16,9 +16,7 @@ from reframe_jax.geometry import transforms
 from reframe_jax.motion import kinematics, paths
 from reframe_jax.motion.kinematics import (
     angular_velocities,
-    body_twists,
     linear_velocity_maps,
-    spatial_twists,
 )
 from reframe_jax.motion.windows import sliding_windows
 
@@ -37,7 +35,11 @@ def rates_of(poses, dt, discretization="chord"):
     return np.asarray(velocities(poses, dt, discretization)[1])
 
 
-twists_of = jax.jit(lambda poses, dt: (body_twists(poses, dt), spatial_twists(poses, dt)))
+def twists_of(poses, dt):
+    """Body and spatial twists (w, v), (..., K, 6) each: the motion of the two origins."""
+    maps, rates = (np.asarray(part) for part in velocities(poses, dt, "left"))
+    pairs = (AngularType.B, LinearType.BB), (AngularType.G, LinearType.GG)
+    return [np.concatenate([rates[..., w, :, :], maps[..., v, :, :, 0]], axis=-1) for w, v in pairs]
 
 
 def random_poses(rng, *shape, dtype=np.float64):

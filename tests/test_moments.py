@@ -4,19 +4,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from algebra import moments_of_maps
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, to_matrix
-from reframe_jax.objectives.moments import MONOMIALS, covariance_at, velocity_moments
+from reframe_jax.objectives.moments import MONOMIALS, covariance_at
 
-moments_of = jax.jit(velocity_moments)
+moments_of = jax.jit(moments_of_maps)
 
 
 @jax.jit
 def covariance(maps, position):
     """(..., 3, 3) at positions (..., 3)."""
-    return covariance_from(velocity_moments(maps), position)
+    return covariance_from(moments_of_maps(maps), position)
 
 
 @jax.jit

@@ -6,14 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from algebra import from_matrix
+from algebra import from_matrix, moments_of_maps
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.geometry.symmetric import to_matrix
-from reframe_jax.objectives.moments import velocity_moments
 from reframe_jax.objectives.norms import check_exponent, log_power_mean
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 
@@ -21,7 +20,7 @@ EXPONENTS = (-math.inf, -3.0, -1.0, -1e-6, 0.0, 1e-6, 0.5, 1.0, 2.0)
 SOME_EXPONENTS = (-math.inf, -3.0, 0.0, 1e-6, 2.0)  # where each takes long to compile
 
 # one program each, instead of one for every operation
-moments_of, turned = jax.jit(velocity_moments), jax.jit(rotation_exp)
+moments_of, turned = jax.jit(moments_of_maps), jax.jit(rotation_exp)
 value_of = jax.jit(lambda objective, x: objective.value(x))
 covariance_of = jax.jit(lambda objective, x: to_matrix(objective.covariance(x)))
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
+from algebra import moments_of_maps
 from planted_problems import (
     FRAMES,
     FREE,
@@ -20,7 +21,6 @@ from planted_problems import (
     search_positions,
 )
 
-from reframe_jax.objectives.moments import velocity_moments
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 from reframe_jax.solvers import BasinHopping, Box, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
 from reframe_jax.solvers.basin_hopping import suggested_starts
@@ -80,7 +80,7 @@ class TestBasinHopping:
         """Where the chains met they stop after one step, and nowhere else; whatever block they are in."""
         rng = np.random.default_rng(5)
         maps = np.stack([planted(rng, FREE[i % 4])[0] for i in range(37)])
-        objective = PositionObjective(velocity_moments(jnp.asarray(maps)))
+        objective = PositionObjective(moments_of_maps(jnp.asarray(maps)))
         solver = BasinHopping(slide, restarts=3, hops=2, polish=1, tolerance=0)
         step = compiled(lambda state: solver.step(objective, POSITIONS, state))
         first = step(solver.init(objective, POSITIONS, KEY))
@@ -103,7 +103,7 @@ class TestBasinHopping:
         """They lower what did not settle, alone as in a batch, and leave what did as it is."""
         rng = np.random.default_rng(5)
         maps = np.stack([planted(rng, FREE[i % 4])[0] for i in range(24)])
-        moments = velocity_moments(jnp.asarray(maps))
+        moments = moments_of_maps(jnp.asarray(maps))
         objective = PositionObjective(moments)
         rounds = BasinHopping(slide, restarts=3, hops=1, polish=0, rounds=4)
         first = compiled(lambda state: rounds.step(objective, POSITIONS, state))(

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from algebra import moments_of_maps
 from planted_problems import (
     KEY,
     NOISE,
@@ -16,7 +17,6 @@ from planted_problems import (
     search_positions,
 )
 
-from reframe_jax.objectives.moments import velocity_moments
 from reframe_jax.objectives.velocity import PositionObjective, log_norm
 from reframe_jax.solvers import Box, ValleySteps
 
@@ -47,7 +47,7 @@ class TestValley:
     def test_axes_almost_at_rest_beside_a_free_one(self):
         """Noise of 1e-7 of the motion: Newton's steps still end at the origin."""
         maps, origin = planted(np.random.default_rng(3), (1, 0, 0), noise=1e-7)
-        norm = PositionObjective(velocity_moments(jnp.asarray(maps)))
+        norm = PositionObjective(moments_of_maps(jnp.asarray(maps)))
         start = jnp.asarray(origin) + jnp.asarray([1e-3, -2e-3, 1e-3])
         found, _ = compiled(lambda x: ValleySteps(8)(norm, POSITIONS, x))(start)
         np.testing.assert_allclose(found, origin, atol=1e-6)

@@ -11,7 +11,7 @@ from reframe_jax.model.search import lowest_origins, polynomials, unexplained_co
 from reframe_jax.model.table import LINEAR_KINDS, ROWS
 from reframe_jax.motion import kinematics
 from reframe_jax.motion.kinematics import Discretization
-from reframe_jax.objectives.moments import add_variance, component_moments
+from reframe_jax.objectives.moments import add_variance, velocity_moments
 from reframe_jax.objectives.velocity import PositionObjective
 from reframe_jax.solvers import BasinHopping, Box, FrameSteps, JointSearch, Solver, ValleySteps
 
@@ -59,7 +59,7 @@ def velocity_map_moments(
     The durations of the steps are (1, K) or (N, K), s.
     """
     maps = kinematics.velocity_components(poses, steps, discretization)
-    angular, linear = (_positive(jnp.moveaxis(component_moments(each), 2, -1)) for each in maps)
+    angular, linear = (_positive(jnp.moveaxis(velocity_moments(each), 2, -1)) for each in maps)
     return angular, linear
 
 

@@ -203,7 +203,9 @@ def _moves(nodes: Nodes, amplitudes: Amplitudes, held: Array) -> Array:
     return jnp.log(total(a * shared, 0) + jnp.finfo(jnp.float32).tiny) + tops[0] + tops[1]
 
 
-def compare(evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table) -> Array:
+def compare(
+    evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table, final: np.ndarray | None = None
+) -> Array:
     """Compute the log probability (E, ...) of entries. Arrays have components, entries, then problems.
 
     Args:
@@ -211,13 +213,16 @@ def compare(evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table)
         amplitudes: amplitudes of the entries.
         pitch: (E, ...) m/rad.
         table: the entries.
+        final: (E,) bool, entries with final parameters, which show how large slow errors are; None: unknown.
     """
     first = jnp.arange(len(evidence)).reshape(-1, *[1] * (evidence.ndim - 1))
-    best = first == jnp.argmax(evidence, axis=0)
+    shown = evidence if final is None else jnp.where(final.reshape(first.shape), evidence, -jnp.inf)
+    best = first == jnp.argmax(shown, axis=0)
     # the fewest values of a free coordinate of the best entry
     independent = jnp.min(jnp.where(~table.held & best, amplitudes.independent, jnp.inf), axis=(0, 1))
     worth = jnp.minimum(jnp.where(jnp.isfinite(independent), independent, 1.0), C.worth)
-    size = total(_raised(amplitudes.log_variance, table, best), 0)
+    sizes = amplitudes.log_variance
+    size = total(sizes if final is None else _raised(sizes, table, best), 0)
     value = evidence - worth * (0.5 * size - amplitudes.consistency)
     value = value - jnp.log(table.variants) - C.per_parameter * table.parameters
     value = value + jnp.where(table.pitch, _screw(amplitudes, pitch, worth), 0)

@@ -205,8 +205,9 @@ def _compare_entries(
         at = descend(fitted, start, steps)
         return best, moments.at(at.origin), at
 
-    def log_probability(entries: _Evaluated) -> Array:
-        return compare(entries.evidence, entries.amplitudes, entries.at.pitch, entries_at(entries.codes))
+    def log_probability(entries: _Evaluated, final: np.ndarray | None = None) -> Array:
+        table = entries_at(entries.codes)
+        return compare(entries.evidence, entries.amplitudes, entries.at.pitch, table, final)
 
     def evaluate(codes: Array, forms: Forms, at: Unknowns) -> _Evaluated:
         amplitudes, evidence = evaluate_entries(forms, at, entries_at(codes), windows)
@@ -234,7 +235,7 @@ def _compare_entries(
     same = screened.codes[:, None] == fitted.codes[None]  # (E, C, N)
     screened = screened._replace(evidence=jnp.where(jnp.any(same, axis=1), -jnp.inf, screened.evidence))
     both = jax.tree.map(lambda one, other: jnp.concatenate([one, other], axis=-2), screened, fitted)
-    values = log_probability(both)
+    values = log_probability(both, np.append(TABLE.parameters == 0, np.ones(CANDIDATES, bool)))
     everywhere = jnp.max(jnp.where(same, values[None, number:], values[:number, None]), axis=1)
     others = jnp.broadcast_to(jnp.where(allowed[exact], exact, -1)[:, None], (len(exact), details.shape[1]))
     codes = jnp.concatenate([fitted.codes, others])

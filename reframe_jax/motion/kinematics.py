@@ -25,9 +25,7 @@ from reframe_jax.motion.paths import mean_twists, step_twists
 __all__ = [
     "Discretization",
     "angular_velocities",
-    "body_twists",
     "linear_velocity_maps",
-    "spatial_twists",
     "split_poses",
     "turns_of",
     "velocity_components",
@@ -49,50 +47,6 @@ def split_poses(poses: jax.Array) -> tuple[jax.Array, jax.Array]:
     return top[:, :3], top[:, 3]
 
 
-def body_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
-    """Compute the constant body twist that moves each pose to the next: ``log(T(k)^-1 T(k+1)) / dt``.
-
-    This is Eq. 9 of the paper, solved for the twist, with the product in the order that gives a body twist.
-
-    Args:
-        poses: (..., K+1, 4, 4) of {b} in {g}, m.
-        dt: time between two poses, s: a scalar, or (..., K) for irregular sampling.
-
-    Returns:
-        (..., K, 6) twists (w, v): the angular velocity, rad/s, and the velocity of the origin of {b}, m/s,
-        both in the axes of {b}.
-    """
-    body, _ = _twists(*split_poses(poses), _step_times(dt, poses), brackets=True)
-    return jnp.moveaxis(body, (0, 1), (-1, -2))
-
-
-def spatial_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
-    """Compute the constant spatial twist that moves each pose to the next (Eq. 2 of the paper).
-
-    Arguments as in :func:`body_twists`.
-
-    Returns:
-        (..., K, 6) twists (w, v): the angular velocity, rad/s, and the velocity of the point of the body that
-        is at the origin of {g}, m/s, both in the axes of {g}.
-    """
-    _, spatial = _twists(*split_poses(poses), _step_times(dt, poses), brackets=True)
-    return jnp.moveaxis(spatial, (0, 1), (-1, -2))
-
-
-def _twists(
-    rotation: jax.Array, position: jax.Array, steps: jax.Array, brackets: bool
-) -> tuple[jax.Array, jax.Array]:
-    """Return body and spatial twists (6, K, ...), with the brackets of the Magnus expansion or without."""
-    windows, number = rotation.shape[3:], steps.shape[-1]
-    if any(size > 1 for size in steps.shape[:-1]):
-        steps = jnp.broadcast_to(steps, (*windows, number))
-    steps = steps.reshape(-1, number)
-    flat = rotation.reshape(3, 3, number + 1, -1), position.reshape(3, number + 1, -1)
-    twists = step_twists(*flat) / steps.T if brackets else mean_twists(*flat, steps)
-    body, spatial = jnp.moveaxis(twists, (2, 1), (0, 1)).reshape(2, 6, number, *windows)
-    return body, spatial
-
-
 def velocity_components(
     poses: jax.Array, dt: jax.Array | float, discretization: Discretization = "chord"
 ) -> tuple[jax.Array, jax.Array]:
@@ -109,7 +63,14 @@ def velocity_components(
     rotation, position = split_poses(poses)
     steps = _step_times(dt, poses)
     step, inverse = jnp.moveaxis(steps, -1, 0)[None, None], jnp.swapaxes(rotation, 0, 1)
-    body, spatial = _twists(rotation, position, steps, brackets=discretization == "left")
+    # twists are functions of arrays with one axis of windows
+    windows, number = rotation.shape[3:], steps.shape[-1]
+    if any(size > 1 for size in steps.shape[:-1]):
+        steps = jnp.broadcast_to(steps, (*windows, number))
+    steps = steps.reshape(-1, number)
+    flat = rotation.reshape(3, 3, number + 1, -1), position.reshape(3, number + 1, -1)
+    twists = step_twists(*flat) / steps.T if discretization == "left" else mean_twists(*flat, steps)
+    body, spatial = jnp.moveaxis(twists, (2, 1), (0, 1)).reshape(2, 6, number, *windows)
     bb, gg = (_twist_map(twist) for twist in (body, spatial))
     if discretization == "left":
         gb, bg = times(rotation[:, :, :-1], bb), times(inverse[:, :, :-1], gg)

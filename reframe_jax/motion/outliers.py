@@ -71,8 +71,7 @@ def repair_poses(
     noise = jnp.maximum(noise, jnp.stack([unit / 2, jnp.zeros_like(unit)])) + rounding
 
     # only windows with jumps are searched, in parts, so that the other windows of the batch cost nothing
-    windows = len(jumps)
-    part = -(-windows // _PARTS)
+    part = -(-len(jumps) // _PARTS)
     order = jnp.argsort(~jumps, stable=True).astype(jnp.int32)
 
     def search(k: Array, counted: Array) -> Array:

@@ -16,30 +16,17 @@ import numpy as np
 
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
 
-__all__ = ["MONOMIALS", "add_variance", "component_moments", "covariance_at", "velocity_moments"]
+__all__ = ["MONOMIALS", "add_variance", "covariance_at", "velocity_moments"]
 
 MONOMIALS = tuple((a, b) for a in range(4) for b in range(a, 4))
 """The ten monomials of a quadratic polynomial in p: pairs of indices into (1, px, py, pz), to multiply."""
 
 
 def velocity_moments(maps: jax.Array) -> jax.Array:
-    """Compute the coefficients of Sigma(p) from affine velocity maps.
+    """Compute the coefficients (6, 10, ...) of Sigma(p) from velocity maps u = a + B p.
 
-    Args:
-        maps: (..., K, 3, 4) matrices (a | B) of the samples, with velocity u = a + B p. Angular velocities,
-            which have no origin, are maps (..., K, 3, 1).
-
-    Returns:
-        (6, 10, ...) coefficients; (6, 1, ...) for angular velocities.
-    """
-    return component_moments(jnp.moveaxis(maps, (-2, -1, -3), (0, 1, 2)))
-
-
-def component_moments(maps: jax.Array) -> jax.Array:
-    """Compute :func:`velocity_moments` of arrays with components first.
-
-    Args:
-        maps: (3, 4, K, ...) matrices (a | B), or (3, 1, K, ...) for angular velocities.
+    The maps (a | B) of K samples are (3, 4, K, ...). Angular velocities have no origin: they are (3, 1, K,
+    ...), with coefficients (6, 1, ...).
     """
     means = jnp.einsum("iak...,jbk...->iajb...", maps / maps.shape[2], maps, precision="highest")
     one, other = np.array(INDEX_PAIRS).T[:, :, None]
