@@ -204,7 +204,7 @@ def _moves(nodes: Nodes, amplitudes: Amplitudes, held: Array) -> Array:
 
 
 def compare(
-    evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table, final: np.ndarray | None = None
+    evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table, standard: np.ndarray
 ) -> Array:
     """Compute the log probability (E, ...) of entries. Arrays have components, entries, then problems.
 
@@ -213,16 +213,14 @@ def compare(
         amplitudes: amplitudes of the entries.
         pitch: (E, ...) m/rad.
         table: the entries.
-        final: (E,) bool, entries with final parameters, which show how large slow errors are; None: unknown.
+        standard: (E,) bool, entries whose held coordinates may show how large slow errors are.
     """
     first = jnp.arange(len(evidence)).reshape(-1, *[1] * (evidence.ndim - 1))
-    shown = evidence if final is None else jnp.where(final.reshape(first.shape), evidence, -jnp.inf)
-    best = first == jnp.argmax(shown, axis=0)
+    best = first == jnp.argmax(jnp.where(standard.reshape(first.shape), evidence, -jnp.inf), axis=0)
     # the fewest values of a free coordinate of the best entry
     independent = jnp.min(jnp.where(~table.held & best, amplitudes.independent, jnp.inf), axis=(0, 1))
     worth = jnp.minimum(jnp.where(jnp.isfinite(independent), independent, 1.0), C.worth)
-    sizes = amplitudes.log_variance
-    size = total(sizes if final is None else _raised(sizes, table, best), 0)
+    size = total(_raised(amplitudes.log_variance, table, best), 0)
     value = evidence - worth * (0.5 * size - amplitudes.consistency)
     value = value - jnp.log(table.variants) - C.per_parameter * table.parameters
     value = value + jnp.where(table.pitch, _screw(amplitudes, pitch, worth), 0)

@@ -29,6 +29,8 @@ from reframe_jax.model.table import ENTRIES, LINEAR_KINDS, ROWS, TABLE, Table, e
 
 Array = jax.Array
 CANDIDATES = 7  # entries that are fitted; with poor starting parameters, the right one may rank only fifth
+# entries whose held coordinates do not depend on a starting origin that two directions leave undetermined
+_PLACED = np.array([len(entry.any_origin) != 2 for entry in ENTRIES])
 
 
 class Solved(NamedTuple):
@@ -196,7 +198,7 @@ def _compare_entries(
     def fit(_: Array, rounds: _Evaluated) -> tuple[Array, Forms, Unknowns]:
         """Fit the most probable entries."""
         screened: _Evaluated = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
-        rank = jnp.where(fittable[:, None], log_probability(screened), -jnp.inf)
+        rank = jnp.where(fittable[:, None], log_probability(screened, _PLACED), -jnp.inf)
         best = jax.lax.top_k(rank.T, CANDIDATES)[1].T
         entries = entries_at(best)
         start = jax.tree.map(lambda leaf: pick(leaf, best, -2), problem.starts)
@@ -205,9 +207,9 @@ def _compare_entries(
         at = descend(fitted, start, steps)
         return best, moments.at(at.origin), at
 
-    def log_probability(entries: _Evaluated, final: np.ndarray | None = None) -> Array:
+    def log_probability(entries: _Evaluated, standard: np.ndarray) -> Array:
         table = entries_at(entries.codes)
-        return compare(entries.evidence, entries.amplitudes, entries.at.pitch, table, final)
+        return compare(entries.evidence, entries.amplitudes, entries.at.pitch, table, standard)
 
     def evaluate(codes: Array, forms: Forms, at: Unknowns) -> _Evaluated:
         amplitudes, evidence = evaluate_entries(forms, at, entries_at(codes), windows)
@@ -235,6 +237,7 @@ def _compare_entries(
     same = screened.codes[:, None] == fitted.codes[None]  # (E, C, N)
     screened = screened._replace(evidence=jnp.where(jnp.any(same, axis=1), -jnp.inf, screened.evidence))
     both = jax.tree.map(lambda one, other: jnp.concatenate([one, other], axis=-2), screened, fitted)
+    # an entry with its starting parameters is no standard, unless it has none
     values = log_probability(both, np.append(TABLE.parameters == 0, np.ones(CANDIDATES, bool)))
     everywhere = jnp.max(jnp.where(same, values[None, number:], values[:number, None]), axis=1)
     others = jnp.broadcast_to(jnp.where(allowed[exact], exact, -1)[:, None], (len(exact), details.shape[1]))
