@@ -28,6 +28,7 @@ class Evidence(NamedTuple):
         worth: largest number of independent values in the comparison of held covariances between entries.
         repeatable_part: amplitude, as a fraction of the smallest slow error, that is added in this comparison
             to every coordinate of entries with more freedom.
+        repeatable_gain: largest factor by which this raises one; fits seldom reduce such errors by more.
         per_parameter: cost of a parameter, in log evidence.
         screw_worth: largest number of independent values in the comparison of the translation of a screw
             with its rotation.
@@ -50,6 +51,7 @@ class Evidence(NamedTuple):
     amplitude_variance: float = 0.03
     worth: float = 2.5
     repeatable_part: float = 0.5
+    repeatable_gain: float = 3.0
     per_parameter: float = 1.0
     screw_worth: float = 6.0
     pitch_cost: float = log(13.8 * 7)

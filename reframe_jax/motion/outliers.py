@@ -69,7 +69,6 @@ def repair_poses(
     jumps = wanted & jnp.any(own[4:] & (size > _NOISES * noise[:, None]), axis=(0, 1))
     rounding = 64 * jnp.finfo(size.dtype).eps * (1 + jnp.max(jnp.abs(measured), axis=(0, 1)))
     noise = jnp.maximum(noise, jnp.stack([unit / 2, jnp.zeros_like(unit)])) + rounding
-
     # only windows with jumps are searched, in parts, so that the other windows of the batch cost nothing
     part = -(-len(jumps) // _PARTS)
     order = jnp.argsort(~jumps, stable=True).astype(jnp.int32)
