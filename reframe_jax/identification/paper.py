@@ -54,7 +54,7 @@ def step_moments(window: Prepared, discretization: Discretization) -> tuple[jax.
 def velocity_map_moments(
     poses: jax.Array, steps: jax.Array, discretization: Discretization
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute the moments of :func:`step_moments` from poses (N, K+1, 4, 4), m, and steps (N, K), s."""
+    """Compute the moments of :func:`step_moments` from poses (N, K+1, 4, 4), m, and steps (1 or N, K), s."""
     maps = kinematics.velocity_components(poses, steps, discretization)
     angular, linear = (_positive(jnp.moveaxis(velocity_moments(each), 2, -1)) for each in maps)
     return angular, linear

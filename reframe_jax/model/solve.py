@@ -197,7 +197,7 @@ def _compare_entries(
         return jnp.broadcast_to(block[:, None], (CANDIDATES, details.shape[1])), forms, start
 
     def fit(_: Array, rounds: _Evaluated) -> tuple[Array, Forms, Unknowns]:
-        """Fit the most probable entries."""
+        """Fit the entries that are most probable at their starting parameters, with unlimited slow errors."""
         screened: _Evaluated = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
         rank = jnp.where(fittable[:, None], log_probability(screened, _PLACED, inf), -jnp.inf)
         best = jax.lax.top_k(rank.T, CANDIDATES)[1].T
