@@ -18,11 +18,13 @@ of the ground and half in the axes of the body; their size is the rms of each co
 1 um and 3 urad comes on top. Repeatable errors depend on the pose only, like those of an arm whose links are
 not as long as its model says: random quadratic functions of the displacement, with the same sizes.
 Correlated errors are white noise after a filter with a time constant of 60 ms, or vibrations of 7 to 11 Hz.
+In the group ``frames``, errors act about the origin of the body before its frame moves 1 m away, or before
+the poses are inverted, with the origin of the ground 1 m away from its place in other groups.
 """
 
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -176,6 +178,13 @@ def correlated_specs() -> Iterator[Spec]:
         yield Spec("correlated", label, "measured", 50, ENCODER[0], slow, turn, seed, kind)
 
 
+def frames_specs() -> Iterator[Spec]:
+    kinds, moving = ("away", "inverse"), [label for label in CONSTRAINTS if label != "fixed"]
+    for seed, kind, slow, label in product((60, 61), kinds, (0.0, 1e-3), moving):
+        white = ENCODER[0] if slow else 3e-3
+        yield Spec("frames", label, "measured", 20, white, slow, 5 * slow, seed, kind)
+
+
 def stops_specs() -> Iterator[Spec]:
     moving = [label for label in CONSTRAINTS if label != "fixed"]
     for (slow, turn), label in product(((0.0, 0.0), *SLOW[:3]), moving):
@@ -201,6 +210,7 @@ PLANS = {
     "soft": soft_specs,
     "repeatable": repeatable_specs,
     "correlated": correlated_specs,
+    "frames": frames_specs,
     "stops": stops_specs,
     "faults": faults_specs,
     "nothing": nothing_specs,
@@ -274,7 +284,8 @@ def _simulate_chunk(specs: Sequence[Spec]) -> list[Case]:
         poses, times = _spoil(spec.fault, poses, times, random[i])
         strong = bool(_weakest_axis(spec, moved[taken]) >= (20 if spec.slow else 10))
         paper = spec.group == "paper"
-        cases.append(Case(key, spec.group, spec.label, poses, times, names, truth, strong, paper))
+        case = Case(key, spec.group, spec.label, poses, times, names, truth, strong, paper)
+        cases.append(_in_other_frames(case, spec.fault, random[i]) if spec.group == "frames" else case)
     return cases
 
 
@@ -377,6 +388,29 @@ def _spoil(
         poses[jump, :3, :3] = poses[jump, :3, :3] @ Rotation.from_rotvec(0.5 * rng.normal(size=3)).as_matrix()
         poses[jump, :3, 3] += 0.1 * rng.normal(size=3)
     return poses, times
+
+
+_INVERSE = {"E": "F", "F": "E", "I": "J", "J": "I", "K": "L", "L": "K"}
+_UNNAMED = {"G": "3 rotations, 2 translations in GG", "H": "3 rotations, 1 translation in BB"}
+
+
+def _in_other_frames(case: Case, kind: str, rng: np.random.Generator) -> Case:
+    """Move the frame of the body by 1 m in its own axes, or that of the ground, and invert the poses."""
+    moved, poses, point = rng.normal(size=3), case.poses.copy(), case.truth.point.copy()
+    moved /= np.linalg.norm(moved)
+    if kind == "away":
+        poses[:, :3, 3] += poses[:, :3, :3] @ moved
+        point[BODY] -= moved
+        return replace(case, poses=poses, truth=replace(case.truth, point=point))
+    poses[:, :3, 3] += moved
+    point[GROUND] += moved
+    angular, linear, point, directions = (
+        np.flip(leaf, 0) for leaf in (case.truth.angular, case.truth.linear, point, case.truth.directions)
+    )
+    truth = Truth(angular, linear, point, directions, case.truth.line)
+    label = _INVERSE.get(case.label, case.label)
+    names = (_UNNAMED.get(label, CONSTRAINTS[label].name),)
+    return replace(case, poses=np.linalg.inv(poses), label=label, expected=names, truth=truth)
 
 
 def _slow_error(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -196,7 +196,7 @@ def test_a_free_body_floats() -> None:
 
 
 def test_a_universal_joint_has_an_axis_in_each_body(rng: np.random.Generator) -> None:
-    """No frame fixed in one body holds its still direction: the axes come from the rotations."""
+    """No frame fixed in one body holds its still direction: the axes are given."""
     first, second, point = np.array([0.0, 0.6, 0.8]), np.array([1.0, 0, 0]), np.array([0.2, 0.1, 0.3])
     coordinates = rng.uniform(-0.5, 0.5, (60, 2))
     coordinates[0] = 0
@@ -211,17 +211,17 @@ def test_a_universal_joint_has_an_axis_in_each_body(rng: np.random.Generator) ->
         linear_rotvec=jnp.zeros(3),
         position=jnp.asarray(point),
     )
-    joint = fit_joint(frame, poses)
+    joint = fit_joint(frame, poses, universal=[first, START[:3, :3].T @ second])
     assert (joint.type, joint.name) == ("universal", "Universal joint")
     np.testing.assert_allclose([part.axis for part in joint.parts], [first, second], atol=1e-6)
     np.testing.assert_allclose(joint.coordinates(poses), coordinates, atol=1e-5)
     assert joint.rotation_error < 1e-5
-    # two hinges that follow each other at any other angle are one too; three rotations are not
+    # three rotations, and axes that nobody knows, are no chain
     free = np.array(poses)
     free[:, :3, :3] = Rotation.random(60, rng).as_matrix()
-    other = fit_joint(frame, free)
-    assert (other.type, other.is_chain) == ("general", False)
-    assert "two hinges do not fit its rotations" in other.gauge[0]
+    for other in fit_joint(frame, free, universal=[first, START[:3, :3].T @ second]), fit_joint(frame, poses):
+        assert (other.type, other.is_chain) == ("general", False)
+        assert "two hinges do not fit its rotations, or their axes are not known" in other.gauge[0]
     # on a slide, the two hinges come along
     along = np.array([0.6, 0.0, 0.8])
     on_slide = np.column_stack([rng.uniform(0, 0.3, 60), coordinates])
@@ -235,7 +235,7 @@ def test_a_universal_joint_has_an_axis_in_each_body(rng: np.random.Generator) ->
         linear_rotvec=jnp.asarray(Rotation.align_vectors([along], [[0, 0, 1.0]])[0].as_rotvec()),
         position=jnp.asarray(START[:3, :3].T @ (point - START[:3, 3])),
     )
-    joint = fit_joint(rail, slid)
+    joint = fit_joint(rail, slid, universal=[first, START[:3, :3].T @ second])
     assert [part.kind for part in joint.parts] == ["slide", "hinge", "hinge"]
     assert joint.position_error < 1e-5
     assert joint.rotation_error < 1e-5

@@ -23,7 +23,6 @@ from reframe_jax.joints.joint import Joint, JointType
 _ROUNDS = 3  # rounds of averaging, until the home pose converges
 _AVERAGED = 2000  # largest number of poses in the average; longer recordings are subsampled
 _UNIVERSAL = np.radians(5.0)  # orientation error above which no universal joint fits
-_STARTS, _STEPS = 8, 40  # starts, and steps from each start, of the search for universal axes
 
 
 @dataclass(frozen=True)
@@ -117,8 +116,8 @@ def fit_joint(
         length: m, position error that has the same weight as an orientation error of 1 rad: the ratio of the
             position noise to the orientation noise.
         pitch: m/rad of a screw joint, positive for a right-handed thread; None for other joints.
-        universal: (2, 3) axes of a universal joint, the first in {g} and the second in {b}. None for other
-            joints, and for a frame with one constrained rotation: the fit then estimates the axes.
+        universal: (2, 3) axes of two hinges that follow each other, such as a universal joint, the first in
+            {g} and the second in {b}; None unless the frame has one constrained rotation.
 
     Returns:
         The joint. If no chain of hinges, slides and balls reproduces the constraint, the joint has the type
@@ -130,7 +129,7 @@ def fit_joint(
         ValueError: for a batch; poses of another shape or not finite; equal or empty names; a length that is
             not positive; a pitch that is 0 or not finite; a pitch for a constraint other than one rotation
             and the translation along its axis; universal axes that are not unit vectors; universal axes for a
-            constraint with a free translation.
+            constraint with less than two free rotations.
     """
     values = np.asarray(poses, dtype=float)
     if values.ndim != 3 or values.shape[1:] != (4, 4) or len(values) == 0:
@@ -148,14 +147,12 @@ def fit_joint(
     key = frame.linear_type, frame.angular_dof, frame.linear_dof
     entry = lookup(*key, geometry.relation, pitch is not None, universal is not None)
     name = describe(*key, geometry.relation) if entry is None else entry.name
-    if axes is not None:
-        if axes.shape != (2, 3) or not np.allclose(np.linalg.norm(axes, axis=1), 1, atol=1e-3):
-            raise ValueError("Expected two unit vectors as the axes of a universal joint.")
-        if geometry.turns < 2 or geometry.slides:
-            raise ValueError(
-                "Universal axes need a constraint without free translation: the body turns about a fixed "
-                "point."
-            )
+    if axes is not None and (
+        axes.shape != (2, 3) or not np.allclose(np.linalg.norm(axes, axis=1), 1, atol=1e-3)
+    ):
+        raise ValueError("Expected two unit vectors as the axes of a universal joint.")
+    if axes is not None and geometry.turns < 2:
+        raise ValueError("Universal axes need a constraint with at least two free rotations.")
     if pitch is not None:
         if not (np.isfinite(pitch) and pitch != 0):
             raise ValueError(f"Expected a pitch in m/rad other than 0, not {pitch}.")
@@ -223,7 +220,8 @@ def _without_chain(geometry: _Geometry, names: dict[str, Any]) -> Joint:
         why = "There is no constraint: the pose is free."
     elif geometry.turns == 2 and not geometry.only_velocities:
         why = (
-            "No chain of hinges, slides and balls makes this constraint: two hinges do not fit its rotations."
+            "No chain of hinges, slides and balls makes this constraint: two hinges do not fit its "
+            "rotations, or their axes are not known."
         )
     names = {**names, "position_error": np.nan, "rotation_error": np.nan}
     home = geometry.poses[0]
@@ -329,15 +327,13 @@ def _joint_plans(geometry: _Geometry) -> list[_Plan]:
     distinct, other = geometry.distinct
     if turns == 1 and distinct is not None:
         return _hinge_plans(geometry, _positive(distinct), other, last)
-    if geometry.universal is not None:
-        return [_Plan("universal", axis=_positive(geometry.universal[0]), second=geometry.universal[1])]
     if (slides == 3 and turns == 3) or geometry.only_velocities:
         return []  # combinations of the free motions reach every pose
-    if distinct is None:
-        return [_Plan("general" if slides else "spherical", turns_first=last)]
-    first, second = _universal_axes(geometry.poses[:, :3, :3], distinct)
-    kind: JointType = "general" if slides else "universal"
-    return [_Plan(kind, turns_first=last, axis=_positive(first), second=second)]
+    if geometry.universal is not None:
+        first, second = geometry.universal
+        kind: JointType = "general" if slides else "universal"
+        return [_Plan(kind, turns_first=last, axis=_positive(first), second=second)]
+    return [_Plan("general" if slides else "spherical", turns_first=last)] if turns == 3 else []
 
 
 def _hinge_plans(geometry: _Geometry, axis: np.ndarray, other: np.ndarray | None, last: bool) -> list[_Plan]:
@@ -355,29 +351,3 @@ def _hinge_plans(geometry: _Geometry, axis: np.ndarray, other: np.ndarray | None
         plane = slides == 1 and relation == AxisRelation.PERPENDICULAR
         return [_Plan("general", axis=axis, slides="plane" if plane else "space", is_envelope=True)]
     return [_Plan("general" if slides else "revolute", turns_first=last, axis=axis)]
-
-
-def _universal_axes(rotations: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pair of axes (3,), one in each body, whose mutual angle varies least over the motion.
-
-    In a universal joint, the direction of the constrained rotation is perpendicular to both joint axes and
-    fixed in neither body. For an axis a of the ground and an axis b of the body, a^T R(k) b is constant over
-    the rotations (K, 3, 3). ``normal`` (3,) is the constrained direction in the ground at the mean pose.
-    """
-    moved = rotations - rotations.mean(axis=0)
-    across = np.linalg.svd(normal[None])[2][1:]
-    best = np.inf, np.zeros(3), np.zeros(3)
-    for angle in np.arange(_STARTS) * np.pi / _STARTS:
-        first = np.cos(angle) * across[0] + np.sin(angle) * across[1]
-        for _ in range(_STEPS):
-            _, second = _least_projection_axis(np.einsum("i,kij->kj", first, moved))
-            change, first = _least_projection_axis(moved @ second)
-        if change < best[0]:
-            best = change, first, second
-    return best[1], best[2]
-
-
-def _least_projection_axis(rows: np.ndarray) -> tuple[float, np.ndarray]:
-    """The unit vector (3,) on which rows (K, 3) have the smallest projections, and their sum of squares."""
-    values, vectors = np.linalg.eigh(rows.T @ rows)
-    return float(values[0]), vectors[:, 0]

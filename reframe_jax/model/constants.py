@@ -17,12 +17,13 @@ class Evidence(NamedTuple):
         error_of_noise: slow error per unit of white noise; its square is added to that of the median.
         error_spread: standard deviation of the log of slow errors (a factor 5); results depend most on it.
         error_correlation: correlation of the logs of slow errors of positions and of rotations.
+        error_centre: m, largest distance between the origin of the body and the centre of rotation errors.
         tilt_above: exponent n of the density (e^2 / (e^2 + tilt^2))^n of a tilt; e: slow rotation error.
         turn, turn_spread: median free rotation, rad, and the standard deviation of its log.
         lever, lever_spread: median ratio of free translation to free rotation, m/rad, and the standard
             deviation of its log.
         free_above: slope by which the log density of free amplitudes falls above the size of the motion.
-        scale_error: largest scale error of a tracker, as a fraction of the translation that the largest free
+        scale_error: largest scale error of a tracker, as a fraction of the translation that the only free
             rotation causes.
         amplitude_variance: variance of the log of a mean square, in addition to its sampling variance.
         worth: largest number of independent values in the comparison of held covariances between entries.
@@ -41,6 +42,7 @@ class Evidence(NamedTuple):
     error_of_noise: float = 0.3
     error_spread: float = log(5.0)
     error_correlation: float = 0.8
+    error_centre: float = 1.0
     tilt_above: int = 3
     turn: float = 1.5
     turn_spread: float = 0.25

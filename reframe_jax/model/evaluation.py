@@ -27,7 +27,7 @@ from reframe_jax.model.features import Features
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.rows import Forms, coordinates_at, in_body
 from reframe_jax.model.steps import Unknowns, tilted_axis
-from reframe_jax.model.table import KINDS, PATHS, ROWS, Table
+from reframe_jax.model.table import KINDS, ROWS, Table
 
 Array = jax.Array
 _CONSTANT = 1e-18  # m^2 or rad^2, variance below which numbers are constant
@@ -49,7 +49,6 @@ class UniversalMoments(NamedTuple):
     ground: Array  # (3, N) axis a, fixed in the ground
     body: Array  # (3, N) axis b, fixed in the body
     form: Array  # (3, 3, S, N) moments of the three coordinates
-    mixed: Array  # (3, 3, 4, 2, S, N) moments with the paths GB and BG, directions times (1, origin)
     sine: Array  # (M, N) squared sine of the angle at M poses
 
 
@@ -101,14 +100,6 @@ def evaluate_entries(
     universal, crossed = windows.universal, entries.crossed
     # ---- a universal joint has its own rotation coordinates
     turns = jnp.where(crossed, universal.form[:, :, :, None], turns)
-    of_path = jnp.where(
-        entries.path == PATHS.index("GB"),
-        universal.mixed[:, :, :, 0, :, None],
-        universal.mixed[:, :, :, 1, :, None],
-    )
-    of_path = materialize(of_path[:, :, 0] + total(of_path[:, :, 1:] * at.origin[:, None], 2))
-    of_path = total(of_path[:, :, None] * at.frame[None, :, :, None], 1)
-    mixed = jnp.where(crossed, of_path, mixed)
     # ---- sensitivity to a rotation
     unit = unit_matrix(turns.dtype, 2) + jnp.zeros_like(at.frame)
     sine = total(universal.sine, 0) / len(universal.sine)
@@ -144,13 +135,9 @@ def _universal_moments(a: Array, b: Array, products: Array, features: Features) 
     weights = jnp.stack([angle, *turns])
     half = jnp.einsum("inf,nsfg->nsig", weights, products, precision="highest")
     form = jnp.einsum("nsif,jnf->ijsn", half, weights, precision="highest")
-    paths = ROWS[[KINDS.index(t.name) for t in (LinearType.GB, LinearType.BG)]]
-    sign = jnp.asarray(paths.sum(-1), products.dtype)
-    mixed = half[..., np.abs(paths).argmax(-1)] * sign  # (N, S, 3, 2, 3, 4)
-    mixed = mixed.transpose(2, 4, 5, 3, 1, 0)
     turned = features.to_rotation[:, :, z.TURN_GROUND]
     cosine = jnp.einsum("in,nmij,jn->mn", a, turned, b)
-    return UniversalMoments(a, b, form, mixed, 1 - cosine * cosine)
+    return UniversalMoments(a, b, form, 1 - cosine * cosine)
 
 
 def _squared_levers(features: Features, rotations: Array, origins: Array) -> Array:

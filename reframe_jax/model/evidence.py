@@ -26,13 +26,25 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.geometry.small import diagonalize, largest, materialize, total
+from reframe_jax.geometry.small import (
+    axial,
+    crosses,
+    diagonalize,
+    largest,
+    materialize,
+    solve_symmetric,
+    times,
+    total,
+    trace,
+    unit_matrix,
+)
 from reframe_jax.model.constants import EVIDENCE as C
 from reframe_jax.model.densities import Nodes, amplitude_nodes, free_evidence, held_likelihood
 from reframe_jax.model.table import Table
 
 Array = jax.Array
 _TINY = 1e-18  # m^2 and rad^2, added to every variance
+_RIDGE = 1e-6  # fraction of the trace that regularizes the regression of translations on rotations
 
 # ---- grids of the logarithms of sizes
 _ERRORS = 1.4 * np.arange(-2, 6)  # log of slow errors over their median
@@ -85,7 +97,7 @@ class Coordinates(NamedTuple):
 
     turns: Array  # (3, 3, S, ...) moments of the rotations
     shifts: Array  # (3, 3, S, ...) moments of the translations
-    mixed: Array  # (3, 3, S, ...) moments of rotations with translations
+    mixed: Array  # (3, 3, S, ...) moments of rotations with translations; not used for universal joints
     levers: Array  # (2, 3, 3, ...) moments of the sensitivities of rotations and translations to a rotation
     gain: Array  # (6, ...) squared sensitivity to a position
     consistency: Array  # (...) mean log |det| of the derivative of the coordinates with respect to the pose
@@ -95,6 +107,39 @@ def _diagonal(outer: Array, form: Array) -> Array:
     """Diagonal (3, S, ...) of U' C U for U (3, 3, ...) and C (3, 3, S, ...)."""
     half = total(outer[:, :, None, None] * form[:, None], 0)
     return total(half * jnp.swapaxes(outer, 0, 1)[:, :, None], 1)
+
+
+def _beyond_rotations(coordinates: Coordinates, entry: Table, scale_weight: Array) -> Array:
+    """Return the moments of the translations (3, 3, S, ...), less what rotations explain of the held ones.
+
+    An error d of a held rotation displaces the origin of the body by d x c if it acts about a point at -c,
+    such as the centre of the markers, or the camera for a camera on the body. A regression yields c, so that
+    the evidence hardly depends on the choice of the body frame. If only one rotation is free, held
+    translations may be proportional to it: a tracker has a scale error.
+    """
+    turned, fixed, free = entry.held[:3] & ~entry.crossed, entry.held[3:], ~entry.held[2]
+    unit = unit_matrix(scale_weight.dtype, free.ndim)
+    whole = total(coordinates.turns * scale_weight, 2)
+    mixed = jnp.where(fixed, total(coordinates.mixed * scale_weight, 2), 0)
+    # d x c along the held translations: the matrix of its mean square in c, and its product with them
+    errors = jnp.where(turned[:, None] & turned, whole, 0)
+    one, two, three = (jnp.where(each, errors, 0) for each in fixed)
+    rows = [
+        [two[2, 2] + three[1, 1], -three[0, 1], -two[0, 2]],
+        [-three[0, 1], one[2, 2] + three[0, 0], -one[1, 2]],
+        [-two[0, 2], -one[1, 2], one[1, 1] + two[0, 0]],
+    ]
+    matrix = jnp.stack([jnp.stack(row) for row in rows]) + (_RIDGE * trace(errors) + _TINY) * unit
+    centre = solve_symmetric(materialize(matrix), -axial(jnp.where(turned[:, None], mixed, 0)))
+    centre = centre * jnp.minimum(1, C.error_centre / jnp.sqrt(total(centre * centre, 0) + _TINY))
+    most = C.scale_error * jnp.sqrt(total(coordinates.levers[1] * unit, 0))
+    scale = jnp.clip(mixed[2] / (whole[2, 2] + _TINY), -most, most)
+    last = (np.arange(3) == 2).reshape(3, *[1] * (free.ndim + 1))
+    slope = jnp.where(last & free & turned[0], scale, jnp.where(turned[:, None], crosses(centre), 0))
+    slope = materialize(jnp.where(fixed, slope, 0))[:, :, None]
+    rest = materialize(coordinates.mixed - times(coordinates.turns, slope))
+    shifts = coordinates.shifts - times(jnp.swapaxes(slope, 0, 1), rest)
+    return materialize(shifts - times(jnp.swapaxes(coordinates.mixed, 0, 1), slope))
 
 
 def amplitudes_of(coordinates: Coordinates, entry: Table, spectra: Spectra) -> Amplitudes:
@@ -107,26 +152,14 @@ def amplitudes_of(coordinates: Coordinates, entry: Table, spectra: Spectra) -> A
     """
     scale_weight, dtype = spectra.scale_weight, coordinates.turns.dtype
     together = entry.together
-    both = jnp.stack([coordinates.turns, coordinates.shifts], axis=3)  # (3, 3, S, 2, ...)
+    shifts = _beyond_rotations(coordinates, entry, scale_weight)
+    both = jnp.stack([coordinates.turns, shifts], axis=3)  # (3, 3, S, 2, ...)
     mixable = jnp.stack([together[:3, :3], together[3:, 3:]], axis=2)
     whole = materialize(total(both * scale_weight[:, None], 2))
     axes = materialize(diagonalize(whole[:, :, None], together=mixable, sweeps=3))
     turns, shifts = jnp.moveaxis(materialize(_diagonal(axes, both)), 2, 0)
     lever = jnp.moveaxis(_diagonal(axes, jnp.moveaxis(coordinates.levers, 0, 2)[:, :, None])[:, 0], 1, 0)
     axes, lever = jnp.moveaxis(axes, 2, 0), lever.reshape(6, *lever.shape[2:])
-    # scale error of a tracker: held translations may be proportional to the largest free rotation
-    squares = jnp.where(entry.held[:3], -1.0, total(turns * scale_weight, 1))
-    widest = largest(squares)
-    second = (squares[1] == widest) & (squares[0] < widest)
-    first = jnp.stack([squares[0] == widest, second, (squares[0] < widest) & (squares[1] < widest)])
-    main = total(axes[0] * first[None], 1)
-    along = total(total(coordinates.turns * main[:, None, None], 0) * main[:, None], 0)
-    pulled = total(coordinates.mixed * main[:, None, None], 0)
-    pulled = total(axes[1][:, :, None] * pulled[:, None], 0)
-    pull = total(pulled * scale_weight, 1) / jnp.maximum(total(along * scale_weight, 0), 1e-30)
-    most = C.scale_error * jnp.sqrt(lever[3:])
-    pull = jnp.where(entry.held[3:] & (widest > 0), jnp.clip(pull, -most, most), 0)[:, None]
-    shifts = shifts - 2 * pull * pulled + pull * pull * along
     each = jnp.maximum(jnp.concatenate([turns, shifts]), 0) + _TINY
     parts = each * scale_weight
     square = total(parts, 1)
