@@ -117,7 +117,9 @@ def _beyond_rotations(coordinates: Coordinates, entry: Table, scale_weight: Arra
     the evidence hardly depends on the choice of the body frame. If only one rotation is free, held
     translations may be proportional to it: a tracker has a scale error.
     """
-    turned, fixed, free = entry.held[:3] & ~entry.crossed, entry.held[3:], ~entry.held[2]
+    # where nothing is free, the regression would explain every motion by errors
+    turned = entry.held[:3] & ~entry.crossed & ~jnp.all(entry.held, axis=0)
+    fixed, free = entry.held[3:], ~entry.held[2]
     unit = unit_matrix(scale_weight.dtype, free.ndim)
     whole = total(coordinates.turns * scale_weight, 2)
     mixed = jnp.where(fixed, total(coordinates.mixed * scale_weight, 2), 0)
