@@ -10,7 +10,7 @@ from reframe_jax.model.features import Features, pose_features
 from reframe_jax.model.moments import Moments, scale_moments
 from reframe_jax.motion import kinematics
 from reframe_jax.motion.checks import window_status
-from reframe_jax.motion.noise import estimate_noise, unit_of_rounding
+from reframe_jax.motion.noise import constant_components, estimate_noise, unit_of_rounding
 from reframe_jax.motion.outliers import repair_poses
 from reframe_jax.motion.paths import sections_of
 
@@ -68,6 +68,10 @@ def prepare_windows(
     rotation, position = kinematics.split_poses(poses)
     counted = own.T
     unit = jax.lax.stop_gradient(unit_of_rounding(position, counted))
+    # rounding hides the error of a constant component: without it, the component would count as exact
+    constant = jax.lax.stop_gradient(constant_components(position, counted))
+    hidden = np.random.default_rng(0).uniform(-0.5, 0.5, (poses.shape[1], 3)).T[:, :, None]
+    position = position + jnp.where(constant[:, None], unit * jnp.asarray(hidden, position.dtype), 0)
     section = None
     if not single_steps:
         times = jnp.concatenate([jnp.zeros_like(steps[:, :1]), jnp.cumsum(steps, axis=1)], axis=1)
