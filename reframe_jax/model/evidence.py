@@ -239,7 +239,7 @@ def _moves(nodes: Nodes, amplitudes: Amplitudes, held: Array) -> Array:
 
 
 def compare(
-    evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table, standard: np.ndarray, gain: float
+    evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table, standard: np.ndarray
 ) -> Array:
     """Compute the log probability (E, ...) of entries. Arrays have components, entries, then problems.
 
@@ -249,14 +249,13 @@ def compare(
         pitch: (E, ...) m/rad.
         table: the entries.
         standard: (E,) bool, entries whose held coordinates may show how large slow errors are.
-        gain: largest factor by which slow errors raise an amplitude.
     """
     first = jnp.arange(len(evidence)).reshape(-1, *[1] * (evidence.ndim - 1))
     best = first == jnp.argmax(jnp.where(standard.reshape(first.shape), evidence, -jnp.inf), axis=0)
     # the fewest values of a free coordinate of the best entry
     independent = jnp.min(jnp.where(~table.held & best, amplitudes.independent, jnp.inf), axis=(0, 1))
     worth = jnp.minimum(jnp.where(jnp.isfinite(independent), independent, 1.0), C.worth)
-    size = total(_raised(amplitudes.log_variance, table, best, gain), 0)
+    size = total(_raised(amplitudes.log_variance, table, best), 0)
     value = evidence - worth * (0.5 * size - amplitudes.consistency)
     value = value - jnp.log(table.variants) - C.per_parameter * table.parameters
     value = value + jnp.where(table.pitch, _screw(amplitudes, pitch, worth), 0)
@@ -267,7 +266,7 @@ def compare(
     return value - jax.nn.logsumexp(value, axis=0)
 
 
-def _raised(log_variance: Array, table: Table, best: Array, gain: float) -> Array:
+def _raised(log_variance: Array, table: Table, best: Array) -> Array:
     """Log variances (6, E, ...), raised by a part of the slow errors in entries with a pitch or more freedom.
 
     The held coordinates of the entry ``best`` (E, ...) bool show how large the slow errors are.
@@ -277,7 +276,7 @@ def _raised(log_variance: Array, table: Table, best: Array, gain: float) -> Arra
     least = jnp.where(jnp.isfinite(least), least + 2 * log(C.repeatable_part), -jnp.inf)
     number = total(table.held.astype(log_variance.dtype), 0)
     freer = table.pitch | (number < jnp.max(jnp.where(best, number, 0), axis=0))
-    most = log_variance + 2 * log(gain)
+    most = log_variance + 2 * log(C.repeatable_gain)
     return jnp.where(freer, jnp.minimum(jnp.logaddexp(log_variance, least[:, None]), most), log_variance)
 
 

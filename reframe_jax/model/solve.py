@@ -6,7 +6,6 @@ have components first, then scales, entries and windows.
 """
 
 from functools import partial
-from math import inf
 from typing import NamedTuple
 
 import jax
@@ -16,7 +15,7 @@ import numpy as np
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.geometry.small import pick, sandwich, times, total
 from reframe_jax.model import features as z
-from reframe_jax.model.constants import EVIDENCE, SCALES
+from reframe_jax.model.constants import SCALES
 from reframe_jax.model.evaluation import WindowStatistics, evaluate_entries, window_statistics
 from reframe_jax.model.evidence import Amplitudes, compare
 from reframe_jax.model.features import Features
@@ -197,9 +196,9 @@ def _compare_entries(
         return jnp.broadcast_to(block[:, None], (CANDIDATES, details.shape[1])), forms, start
 
     def fit(_: Array, rounds: _Evaluated) -> tuple[Array, Forms, Unknowns]:
-        """Fit the entries that are most probable at their starting parameters, with unlimited slow errors."""
+        """Fit the entries that are most probable at their starting parameters."""
         screened: _Evaluated = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
-        rank = jnp.where(fittable[:, None], log_probability(screened, _PLACED, inf), -jnp.inf)
+        rank = jnp.where(fittable[:, None], log_probability(screened, _PLACED), -jnp.inf)
         best = jax.lax.top_k(rank.T, CANDIDATES)[1].T
         entries = entries_at(best)
         start = jax.tree.map(lambda leaf: pick(leaf, best, -2), problem.starts)
@@ -208,9 +207,9 @@ def _compare_entries(
         at = descend(fitted, start, steps)
         return best, moments.at(at.origin), at
 
-    def log_probability(entries: _Evaluated, standard: np.ndarray, gain: float) -> Array:
+    def log_probability(entries: _Evaluated, standard: np.ndarray) -> Array:
         table = entries_at(entries.codes)
-        return compare(entries.evidence, entries.amplitudes, entries.at.pitch, table, standard, gain)
+        return compare(entries.evidence, entries.amplitudes, entries.at.pitch, table, standard)
 
     def evaluate(codes: Array, forms: Forms, at: Unknowns) -> _Evaluated:
         amplitudes, evidence = evaluate_entries(forms, at, entries_at(codes), windows)
@@ -240,7 +239,7 @@ def _compare_entries(
     both = jax.tree.map(lambda one, other: jnp.concatenate([one, other], axis=-2), screened, fitted)
     # an entry with its starting parameters is no standard, unless it has none
     final = np.append(TABLE.parameters == 0, np.ones(CANDIDATES, bool))
-    values = log_probability(both, final, EVIDENCE.repeatable_gain)
+    values = log_probability(both, final)
     everywhere = jnp.max(jnp.where(same, values[None, number:], values[:number, None]), axis=1)
     others = jnp.broadcast_to(jnp.where(allowed[exact], exact, -1)[:, None], (len(exact), details.shape[1]))
     codes = jnp.concatenate([fitted.codes, others])
