@@ -66,31 +66,31 @@ def estimate_noise(
         Standard deviations of position, (N,) m, and of orientation, (N,) rad.
     """
     poses = counted.shape[0]
-    sizes, masks, scales = [], [], []
+    sizes: list[jax.Array] = []
+    masks: list[jax.Array] = []
+    scales = []
     orders = [m for m in _ORDERS if m < poses]
-    changing = [
-        ~constant_components(position, counted),
-        ~constant_components(turns, counted[1:] & counted[:-1], 1),
-    ]
+    changing = [constant_components(position, counted)]
+    changing.append(constant_components(turns, counted[1:] & counted[:-1], 1))
+    changes = ~jnp.stack(changing)  # (2, 3, N)
+    median = jnp.asarray(_MEDIAN_LENGTHS)[jnp.sum(changes, axis=1)]
     # differences of order 2; the steps are those of order 1
     whole, before = counted[2:] & counted[1:-1] & counted[:-2], 2
-    differences = [jnp.diff(position, 2, axis=1), jnp.diff(turns, axis=1)]
+    differences = jnp.stack([jnp.diff(position, 2, axis=1), jnp.diff(turns, axis=1)])
     for order in orders:
         more, before = order - before, order
         whole = whole[more:] & whole[:-more]
-        differences = [jnp.diff(values, more, axis=1) for values in differences]
-        for values, changes in zip(differences, changing, strict=True):
-            length = jnp.sqrt(jnp.sum(jnp.square(jnp.where(changes[:, None], values, 0)), axis=0))
-            sizes.append(jnp.pad(length, ((0, order), (0, 0))))
-            masks.append(jnp.pad(whole & jnp.any(changes, axis=0), ((0, order), (0, 0))))
-            median = jnp.asarray(_MEDIAN_LENGTHS)[jnp.sum(changes, axis=0)]
-            scales.append(median * comb(2 * order, order) ** 0.5)
-    mask = jnp.stack(masks, axis=1)
+        differences = jnp.diff(differences, more, axis=2)
+        length = jnp.sqrt(jnp.sum(jnp.square(jnp.where(changes[:, :, None], differences, 0)), axis=1))
+        here = whole & jnp.any(changes, axis=1)[:, None]
+        for kept, values in (sizes, length), (masks, here):
+            kept.append(jnp.pad(jnp.swapaxes(values, 0, 1), ((0, order), (0, 0), (0, 0))))
+        scales.append(median * comb(2 * order, order) ** 0.5)
+    mask = jnp.stack(masks, axis=1)  # (K + 1, orders, 2, N)
     deviation = masked_median(jnp.stack(sizes, axis=1), mask)
     deviation = deviation / jnp.stack(scales).astype(position.dtype)
     enough = jnp.sum(mask, axis=0) >= 4
-    deviation = jnp.where(enough, deviation, jnp.inf)
-    best = jnp.min(deviation.reshape(len(orders), 2, -1), axis=0)
+    best = jnp.min(jnp.where(enough, deviation, jnp.inf), axis=0)
     rounding = jnp.stack([jnp.max(jnp.abs(values), axis=(0, 1)) for values in (position, turns)])
     rounding = 4 * float(jnp.finfo(position.dtype).eps) * rounding
     spreads = jnp.maximum(jnp.where(jnp.isfinite(best), best, 0), rounding)
