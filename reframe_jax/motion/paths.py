@@ -160,8 +160,9 @@ def _brackets(means: Array, weights: Array, h: Array, even: Array) -> Array:
     # from the mean to the middle of the step; steps of unequal length jump in this, so no derivative
     # may be taken of anything that still has a factor h in it
     middle = means + jnp.where(even, h**2 * ((side / 12) * bracket(means, first) - (1 / 24) * second), 0)
-    a1, a2 = h * middle, h**2 * _derivative(weights, middle)
-    a3, a4 = h**3 * (1 / 2) * second, h**4 * (1 / 6) * _derivative(weights, second)
+    a1, a3 = h * middle, h**3 * (1 / 2) * second
+    higher = _derivative(weights, jnp.concatenate([middle, second], axis=2))
+    a2, a4 = h**2 * higher[:, :, :2], h**4 * (1 / 6) * higher[:, :, 2:]
     a12 = bracket(a1, a2)
     # the terms above, grouped by their outer factor
     inner = bracket(a1, side / 720 * a12 + 1 / 360 * a3)
