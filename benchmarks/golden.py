@@ -215,7 +215,7 @@ def read_answers(found: Any) -> list[Row]:
     for name, frame in (("angular", found.angular), ("linear", found.linear)):
         axes = np.asarray(frame.axes, dtype=float).reshape(-1, 3, 3)
         dof = np.asarray(frame.dof, dtype=int).reshape(-1, 3)
-        count = parts[f"{name}_free"] = dof.sum(axis=1)
+        count = dof.sum(axis=1)
         odd = np.argmax(
             dof == (count == 1)[:, None], axis=1
         )  # the single free axis, or the single constrained axis

@@ -316,15 +316,22 @@ def test_the_committed_run_has_all_groups():
     assert set(stored["summary"]) >= {"real", *made.PLANS}
 
 
+def identified(cases: list[made.Case]) -> list[golden.Row]:
+    """Answers for recordings of equal lengths."""
+    poses, times = (np.array([getattr(case, name) for case in cases]) for name in ("poses", "times"))
+    return golden.read_answers(rf.identify(poses, times=times))
+
+
+def right_and_confident(cases: list[made.Case]) -> tuple[np.ndarray, np.ndarray]:
+    """Whether each recording gets a right name, and whether the probability exceeds 0.9."""
+    answers = identified(cases)
+    right = [golden.is_right(case, answer) for case, answer in zip(cases, answers, strict=True)]
+    return np.array(right), np.array([answer["p"] > 0.9 for answer in answers])
+
+
 def test_correlated_errors_hide_no_constraint():
     """Vibrations and filtered noise, which are as large as the motion at the smallest scales."""
-    cases = made.simulate([*made.correlated_specs()][::4])
-    found = rf.identify(
-        np.array([case.poses for case in cases]), times=np.array([case.times for case in cases])
-    )
-    answers = golden.read_answers(found)
-    right = np.array([golden.is_right(case, answer) for case, answer in zip(cases, answers, strict=True)])
-    confident = np.array([answer["p"] > 0.9 for answer in answers])
+    right, confident = right_and_confident(made.simulate([*made.correlated_specs()][::4]))
     assert right[confident].all()
     assert np.mean(right) >= 0.95
     assert np.mean(confident) >= 0.85
@@ -332,13 +339,7 @@ def test_correlated_errors_hide_no_constraint():
 
 def test_names_do_not_depend_on_the_choice_of_frames():
     """Errors of rotation act about another point than the origin of the body, as with inverse poses."""
-    cases = made.simulate([*made.frames_specs()])
-    found = rf.identify(
-        np.array([case.poses for case in cases]), times=np.array([case.times for case in cases])
-    )
-    answers = golden.read_answers(found)
-    right = np.array([golden.is_right(case, answer) for case, answer in zip(cases, answers, strict=True)])
-    confident = np.array([answer["p"] > 0.9 for answer in answers])
+    right, confident = right_and_confident(made.simulate([*made.frames_specs()]))
     assert right[confident].all()
     assert np.mean(right) >= 0.97
     assert np.mean(confident) >= 0.9
@@ -350,10 +351,7 @@ def test_other_frames_move_the_truth_with_the_poses():
         spec._replace(white=1e-9, slow=0, slow_turn=0) for spec in made.frames_specs() if spec.label in "AIKH"
     ]
     cases = made.simulate(specs)
-    answers = golden.read_answers(
-        rf.identify(np.array([case.poses for case in cases]), times=np.array([case.times for case in cases]))
-    )
-    for case, answer in zip(cases, answers, strict=True):
+    for case, answer in zip(cases, identified(cases), strict=True):
         row = golden.score(case, answer, {})
         assert row["right"]
         assert row.get("position_mm", 0) < 0.01

@@ -222,6 +222,8 @@ def test_a_universal_joint_has_an_axis_in_each_body(rng: np.random.Generator) ->
     for other in fit_joint(frame, free, universal=[first, START[:3, :3].T @ second]), fit_joint(frame, poses):
         assert (other.type, other.is_chain) == ("general", False)
         assert "two hinges do not fit its rotations, or their axes are not known" in other.gauge[0]
+    with pytest.raises(ValueError, match="at least two free rotations"):
+        fit_joint(frame_of("A"), poses, universal=[first, second])
     # on a slide, the two hinges come along
     along = np.array([0.6, 0.0, 0.8])
     on_slide = np.column_stack([rng.uniform(0, 0.3, 60), coordinates])

@@ -66,13 +66,11 @@ def estimate_noise(
         Standard deviations of position, (N,) m, and of orientation, (N,) rad.
     """
     poses = counted.shape[0]
-    sizes: list[jax.Array] = []
-    masks: list[jax.Array] = []
-    scales = []
+    sizes, masks, scales = [], [], []
     orders = [m for m in _ORDERS if m < poses]
-    changing = [constant_components(position, counted)]
-    changing.append(constant_components(turns, counted[1:] & counted[:-1], 1))
-    changes = ~jnp.stack(changing)  # (2, 3, N)
+    both = counted[1:] & counted[:-1]
+    constant = constant_components(position, counted), constant_components(turns, both, 1)
+    changes = ~jnp.stack(constant)  # (2, 3, N)
     median = jnp.asarray(_MEDIAN_LENGTHS)[jnp.sum(changes, axis=1)]
     # differences of order 2; the steps are those of order 1
     whole, before = counted[2:] & counted[1:-1] & counted[:-2], 2
@@ -83,11 +81,11 @@ def estimate_noise(
         differences = jnp.diff(differences, more, axis=2)
         length = jnp.sqrt(jnp.sum(jnp.square(jnp.where(changes[:, :, None], differences, 0)), axis=1))
         here = whole & jnp.any(changes, axis=1)[:, None]
-        for kept, values in (sizes, length), (masks, here):
-            kept.append(jnp.pad(jnp.swapaxes(values, 0, 1), ((0, order), (0, 0), (0, 0))))
+        sizes.append(jnp.pad(length, ((0, 0), (0, order), (0, 0))))
+        masks.append(jnp.pad(here, ((0, 0), (0, order), (0, 0))))
         scales.append(median * comb(2 * order, order) ** 0.5)
-    mask = jnp.stack(masks, axis=1)  # (K + 1, orders, 2, N)
-    deviation = masked_median(jnp.stack(sizes, axis=1), mask)
+    size, mask = (jnp.moveaxis(jnp.stack(parts), 2, 0) for parts in (sizes, masks))  # (M, orders, 2, N)
+    deviation = masked_median(size, mask)
     deviation = deviation / jnp.stack(scales).astype(position.dtype)
     enough = jnp.sum(mask, axis=0) >= 4
     best = jnp.min(jnp.where(enough, deviation, jnp.inf), axis=0)
