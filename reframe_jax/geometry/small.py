@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.geometry.symmetric import INDEX_PAIRS
+
 Array = jax.Array
 T = TypeVar("T")
 _NO_MOMENT = -1.2345678e33  # a number that no array of moments contains
@@ -94,9 +96,8 @@ def axial(matrix: Array) -> Array:
 
 def crosses(vector: Array) -> Array:
     """Return matrices (3, 3, ...) whose rows are the cross products of the coordinate axes with a vector."""
-    x, y, z = vector
-    zero = jnp.zeros_like(x)
-    return jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
+    signs = np.cross(np.eye(3)[:, None], np.eye(3)).reshape(3, 3, 3, *[1] * (vector.ndim - 1))
+    return total(vector[None, :, None] * jnp.asarray(signs, vector.dtype), 1)
 
 
 def normalize(vector: Array) -> Array:
@@ -138,26 +139,28 @@ def _decompose(s: Array | Sequence[Array]) -> tuple[Array, ...]:
     return a, d2, pivot(f - l3 * c - l4 * u, f), l2, l3, l4
 
 
-def invert_symmetric(s: Array | Sequence[Array]) -> tuple[Array, Array]:
+def invert_symmetric(s: Array | Sequence[Array], packed: bool = False) -> tuple[Array, Array]:
     """Invert symmetric, positive definite 3x3 matrices, accurately also where they are nearly singular.
 
-    The result is the six components 11, 12, 13, 22, 23, 33 of the inverses, (6, ...), and the determinants.
+    The result is the inverses (3, 3, ...), or their components 11, 12, 13, 22, 23, 33 if ``packed`` (6, ...),
+    and the determinants.
     """
     d1, d2, d3, l2, l3, l4 = _decompose(s)
-    i2, i3, k = 1 / d2, 1 / d3, l2 * l4 - l3
-    inverse = [1 / d1 + l2 * l2 * i2 + k * k * i3, -l2 * i2 - k * l4 * i3, k * i3]
-    return jnp.stack([*inverse, i2 + l4 * l4 * i3, -l4 * i3, i3]), d1 * d2 * d3
+    pairs = np.array(INDEX_PAIRS) if packed else np.indices((3, 3)).transpose(1, 2, 0)
+    units = np.eye(3)[pairs].T  # 1 where the first or the second index of a component is 0, 1 or 2
+    x, y, z = jnp.asarray(units.reshape(*units.shape, *[1] * d1.ndim), d1.dtype)
+    # the sum of v v' / d over the rows v of the inverse of L, with products instead of concatenated
+    # components, which are slow on a CPU
+    rows = x, y - l2 * x, z - l4 * y + (l2 * l4 - l3) * x
+    ends = (jax.lax.split(row, (1, 1)) for row in rows)
+    terms = [one * other * (1 / d) for (one, other), d in zip(ends, (d1, d2, d3), strict=True)]
+    return sum(terms[1:], terms[0])[0], d1 * d2 * d3
 
 
 def solve_symmetric(matrix: Array, vectors: Array) -> Array:
     """Solve symmetric, positive definite systems (3, 3, ...) x = (3, ...) or (3, n, ...)."""
-    parts = jax.lax.split(matrix.reshape(9, *matrix.shape[2:]), (1,) * 9)
-    d1, d2, d3, l2, l3, l4 = _decompose([parts[k] for k in (0, 1, 2, 4, 5, 8)])
-    x, y, z = jax.lax.split(vectors, (1, 1, 1))
-    y = y - l2 * x
-    z = (z - l3 * x - l4 * y) / d3
-    y = y / d2 - l4 * z
-    return jnp.concatenate([x / d1 - l2 * y - l3 * z, y, z])
+    inverse, _ = invert_symmetric([matrix[i, j] for i, j in INDEX_PAIRS])
+    return times(materialize(inverse), vectors)
 
 
 def solve_positive(matrix: Array, vector: Array) -> Array:

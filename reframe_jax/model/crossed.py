@@ -62,7 +62,8 @@ def crossed_axes(
         both = total(across * a[:, None, None], 1)
         size = total(total(of_ground * a[:, None, None], 0) * a[:, None], 0) + small
         weight = details / size
-        blocks = jnp.stack([total(m * weight, 2) for m in (of_ground, of_body, both)], axis=2)
+        sums = materialize([total(m * weight, 2) for m in (of_ground, of_body, both)])
+        blocks = jnp.stack(sums, axis=2)
         turned = jnp.stack([times(mean_matrix, b), times(jnp.swapaxes(mean_matrix, 0, 1), a)], axis=1)
         cosine = total(a * turned[:, 0], 0)
         rest = _square_of_sine(cosine)

@@ -100,9 +100,9 @@ def amplitude_nodes(measured: Array, noise: Array, variance: Array) -> Nodes:
     """
     measured, noise, variance = (x.astype(jnp.float32) for x in (measured, noise, variance))
     ratio, deviation = jnp.log(measured / noise), jnp.sqrt(variance)
-    low, high = ratio - _WIDTH * deviation, ratio + _WIDTH * deviation
-    # log (a / noise)^2 of the first and of the last node
-    low, high = (jnp.log(jnp.maximum(jnp.exp(jnp.clip(x, -1, 60)) - 1, _FLAT)) for x in (low, high))
+    low, high = (jnp.maximum(ratio + k * _WIDTH * deviation, log(1 + _FLAT)) for k in (-1, 1))
+    # log (a / noise)^2 of the first and of the last node: log(e^x - 1)
+    low, high = (x + jnp.log(1 - jnp.exp(-x)) for x in (low, high))
     high = jnp.maximum(high, low + 1e-3)
     steps = jnp.asarray(np.linspace(0, 1, _NODES), ratio.dtype).reshape(_NODES, *[1] * ratio.ndim)
     square = jnp.exp(low + (high - low) * steps)  # (a / noise)^2

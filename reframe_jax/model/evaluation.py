@@ -20,7 +20,7 @@ from reframe_jax.geometry.small import (
     trace,
     unit_matrix,
 )
-from reframe_jax.geometry.symmetric import INDEX_PAIRS, PACKED
+from reframe_jax.geometry.symmetric import INDEX_PAIRS
 from reframe_jax.model import features as z
 from reframe_jax.model.evidence import Amplitudes, Coordinates, Spectra, amplitudes_of, log_evidence
 from reframe_jax.model.features import Features
@@ -173,7 +173,7 @@ def _limited_noise(paths: Array, turns: Array, levers: Array, details: Array, no
     """
     forms = jnp.concatenate([paths, turns[:, :, None]], axis=2)
     unit = jnp.broadcast_to(unit_matrix(forms.dtype, 2), turns[:, :, None].shape)
-    inverse = invert_symmetric([forms[i, j] for i, j in INDEX_PAIRS])[0][np.array(PACKED, np.int32)]
+    inverse, _ = invert_symmetric([forms[i, j] for i, j in INDEX_PAIRS])
     of_rotation = total(inverse * jnp.concatenate([levers, unit], axis=2), 0, 1)
     of_position = jnp.concatenate([trace(inverse[:, :, :-1]), jnp.zeros_like(of_rotation[-1:])])
     varies = 3 / trace(inverse) > _CONSTANT  # a planar tracker, for example, does not measure all directions

@@ -88,7 +88,7 @@ class Amplitudes(NamedTuple):
     variance: Array  # (6,) variance of the logarithm of ``square``
     independent: Array  # (6,) number of independent values
     lever: Array  # (6,) squared sensitivity to a rotation, m^2 or 1
-    log_variance: Array  # (6,) mean over the used scales of the logarithm of the variance
+    log_variance: Array  # (6,) float32, mean over the used scales of the logarithm of the variance
     consistency: Array  # () mean log |det| of the derivative of the coordinates with respect to the pose
 
 
@@ -152,8 +152,7 @@ def amplitudes_of(coordinates: Coordinates, entry: Table, spectra: Spectra) -> A
         entry: rows of the table, (6, ...) and (6, 6, ...).
         spectra: statistics of the scales, with the scales first.
     """
-    scale_weight, dtype = spectra.scale_weight, coordinates.turns.dtype
-    together = entry.together
+    scale_weight, together = spectra.scale_weight, entry.together
     shifts = _beyond_rotations(coordinates, entry, scale_weight)
     both = jnp.stack([coordinates.turns, shifts], axis=3)  # (3, 3, S, 2, ...)
     mixable = jnp.stack([together[:3, :3], together[3:, 3:]], axis=2)
@@ -177,7 +176,7 @@ def amplitudes_of(coordinates: Coordinates, entry: Table, spectra: Spectra) -> A
         variance=jnp.minimum(variance, 1) + C.amplitude_variance,
         independent=2 / jnp.maximum(variance, 0.01),
         lever=lever,
-        log_variance=(total(jnp.log(each.astype(jnp.float32)) * used, 1) / total(used, 0)).astype(dtype),
+        log_variance=total(jnp.log(each.astype(jnp.float32)) * used, 1) / total(used, 0),
         consistency=coordinates.consistency,
     )
 
@@ -273,19 +272,20 @@ def _raised(log_variance: Array, table: Table, best: Array) -> Array:
     """
     shown = jnp.where(table.held & best, log_variance, jnp.inf).reshape(2, -1, *best.shape[1:])
     least = jnp.repeat(jnp.min(shown, axis=1), 3, axis=0)  # of rotations, of translations
-    least = jnp.where(jnp.isfinite(least), least + 2 * log(C.repeatable_part), -jnp.inf)
+    added = jnp.where(jnp.isfinite(least), jnp.exp(least) * C.repeatable_part**2, 0)
     number = total(table.held.astype(log_variance.dtype), 0)
     freer = table.pitch | (number < jnp.max(jnp.where(best, number, 0), axis=0))
     most = log_variance + 2 * log(C.repeatable_gain)
-    return jnp.where(freer, jnp.minimum(jnp.logaddexp(log_variance, least[:, None]), most), log_variance)
+    raised = jnp.log(jnp.exp(log_variance) + jnp.where(freer, added[:, None], 0))
+    return jnp.minimum(raised, most)
 
 
 def _screw(amplitudes: Amplitudes, pitch: Array, worth: Array) -> Array:
     """Log evidence (E, ...) of a screw: agreement of translation and rotation, less the cost of a pitch."""
-    turn, row = amplitudes.square[2], amplitudes.square[5]
-    travel = jnp.square(pitch) * turn
+    turn, *others, row = amplitudes.square[2:].astype(jnp.float32)
+    travel = jnp.square(pitch).astype(jnp.float32) * turn
     values = jnp.maximum(jnp.minimum(amplitudes.independent[2], C.screw_worth) - 1 - worth, 0)
     # slow errors, which the other held translations show, may be proportional to the rotation
-    errors = jnp.maximum(row, 0.5 * (amplitudes.square[3] + amplitudes.square[4]))
+    errors = jnp.maximum(row, 0.5 * (others[0] + others[1]))
     gain = values * 0.5 * jnp.log((errors + travel) / errors)
     return gain + jnp.minimum(0, 0.5 * jnp.log(row / (travel + 1e-24))) - C.pitch_cost

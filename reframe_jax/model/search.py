@@ -39,7 +39,7 @@ from reframe_jax.geometry.symmetric import INDEX_PAIRS, PACKED
 from reframe_jax.objectives.moments import MONOMIALS
 
 _FIRST, _SECOND = (np.array(ends, np.int32) for ends in zip(*MONOMIALS, strict=True))
-_PLACE = np.array(PACKED, np.int32)
+_PLACE, _PAIRS = np.array(PACKED, np.int32), tuple(np.array(INDEX_PAIRS, np.int32).T)
 _FORM = np.array([[MONOMIALS.index((min(a, b), max(a, b))) for b in range(4)] for a in range(4)], np.int32)
 
 _TANGENT_STEPS, _NEWTON_STEPS = 8, 14  # number of tangent steps, largest number of Newton steps
@@ -153,7 +153,7 @@ def _norm(coefficients: Array, counts: Array, x: Array) -> Array:
 def _starts(coefficients: Array, counts: Array, unexplained: Array) -> Array:
     """Starting origins (3, T, starts, N): of the unexplained covariance, of least motion, and fixed."""
     traces = coefficients[0] + coefficients[3] + coefficients[5]
-    inverse, _ = invert_symmetric([unexplained[i, j] for i, j in INDEX_PAIRS])
+    inverse, _ = invert_symmetric([unexplained[i, j] for i, j in INDEX_PAIRS], packed=True)
     halves = jnp.asarray(_HALVES, traces.dtype)
     inverse = jnp.broadcast_to(inverse[:, None], (6, *traces.shape[1:]))
     squares = [square[_FORM] * halves for square in (total(traces * (counts > 0), 1), traces[:, -1])]
@@ -205,7 +205,7 @@ def _lift(matrix: Array) -> Array:
 
 
 def _tangent_step(coefficients: Array, counts: Array, box: Array, x: Array) -> Array:
-    inverse, _ = invert_symmetric(_sigma(coefficients, x))
+    inverse, _ = invert_symmetric(_sigma(coefficients, x), packed=True)
     form = _tangent(coefficients, counts, inverse)
     step = solve_symmetric(_lift(form[1:, 1:]), form[1:, 0] + times(form[1:, 1:], x))
     # without motion, every origin is equally good
@@ -215,9 +215,9 @@ def _tangent_step(coefficients: Array, counts: Array, box: Array, x: Array) -> A
 def _expand(coefficients: Array, counts: Array, x: Array) -> tuple[Array, Array, Array, Array]:
     """F about origins (3, ...): value, slope (3, ...), Hessian (3, 3, ...) of the tangent, exact Hessian."""
     inverse, det = invert_symmetric(_sigma(coefficients, x))
-    form = _tangent(coefficients, counts, inverse)
+    form = _tangent(coefficients, counts, inverse[_PAIRS])
     change = _slope(coefficients, x)[_PLACE]
-    product = materialize(total(inverse[_PLACE][:, :, None, None] * change[None], 1))  # (i, j, a, S, ...)
+    product = materialize(total(inverse[:, :, None, None] * change[None], 1))  # (i, j, a, S, ...)
     squared = total(product[:, :, :, None] * jnp.swapaxes(product, 0, 1)[:, :, None], 0, 1)
     exact = 2 * form[1:, 1:] - total(squared * counts, 2)
     value = total(counts * jnp.log(det), 0)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import LinearType
-from reframe_jax.geometry.small import pick, sandwich, times, total
+from reframe_jax.geometry.small import materialize, pick, sandwich, times, total
 from reframe_jax.model import features as z
 from reframe_jax.model.constants import SCALES
 from reframe_jax.model.evaluation import WindowStatistics, evaluate_entries, window_statistics
@@ -31,6 +31,7 @@ Array = jax.Array
 CANDIDATES = 7  # entries that are fitted; with poor starting parameters, the right one may rank only fifth
 # entries whose held coordinates do not depend on a starting origin that two directions leave undetermined
 _PLACED = np.array([len(entry.any_origin) != 2 for entry in ENTRIES])
+_EVERY = Table(*(np.moveaxis(leaf, 0, -1)[..., None] for leaf in TABLE))  # entries (..., E, 1) as in problems
 
 
 class Solved(NamedTuple):
@@ -198,7 +199,7 @@ def _compare_entries(
     def fit(_: Array, rounds: _Evaluated) -> tuple[Array, Forms, Unknowns]:
         """Fit the entries that are most probable at their starting parameters."""
         screened: _Evaluated = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
-        rank = jnp.where(fittable[:, None], log_probability(screened, _PLACED), -jnp.inf)
+        rank = jnp.where(fittable[:, None], log_probability(screened, _EVERY, _PLACED), -jnp.inf)
         best = jax.lax.top_k(rank.T, CANDIDATES)[1].T
         entries = entries_at(best)
         start = jax.tree.map(lambda leaf: pick(leaf, best, -2), problem.starts)
@@ -207,8 +208,7 @@ def _compare_entries(
         at = descend(fitted, start, steps)
         return best, moments.at(at.origin), at
 
-    def log_probability(entries: _Evaluated, standard: np.ndarray) -> Array:
-        table = entries_at(entries.codes)
+    def log_probability(entries: _Evaluated, table: Table, standard: np.ndarray) -> Array:
         return compare(entries.evidence, entries.amplitudes, entries.at.pitch, table, standard)
 
     def evaluate(codes: Array, forms: Forms, at: Unknowns) -> _Evaluated:
@@ -236,10 +236,12 @@ def _compare_entries(
     )
     same = screened.codes[:, None] == fitted.codes[None]  # (E, C, N)
     screened = screened._replace(evidence=jnp.where(jnp.any(same, axis=1), -jnp.inf, screened.evidence))
-    both = jax.tree.map(lambda one, other: jnp.concatenate([one, other], axis=-2), screened, fitted)
+    both = materialize(
+        jax.tree.map(lambda one, other: jnp.concatenate([one, other], axis=-2), screened, fitted)
+    )
     # an entry with its starting parameters is no standard, unless it has none
     final = np.append(TABLE.parameters == 0, np.ones(CANDIDATES, bool))
-    values = log_probability(both, final)
+    values = log_probability(both, entries_at(both.codes), final)
     everywhere = jnp.max(jnp.where(same, values[None, number:], values[:number, None]), axis=1)
     others = jnp.broadcast_to(jnp.where(allowed[exact], exact, -1)[:, None], (len(exact), details.shape[1]))
     codes = jnp.concatenate([fitted.codes, others])

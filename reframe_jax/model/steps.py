@@ -26,7 +26,7 @@ from reframe_jax.geometry.small import (
     trace,
     unit_matrix,
 )
-from reframe_jax.geometry.symmetric import INDEX_PAIRS, PACKED
+from reframe_jax.geometry.symmetric import INDEX_PAIRS
 from reframe_jax.model.descent import Local, levenberg_marquardt
 
 Array = jax.Array
@@ -78,7 +78,6 @@ def _held(form: Array, held: Array, details: Array) -> tuple[Array, Array]:
     unit = unit_matrix(form.dtype, form.ndim - 2)
     lifted = jnp.where(both, form, 0) + unit * jnp.where(held, small, 1)[:, None, None]
     inverse, det = invert_symmetric([lifted[i, j] for i, j in INDEX_PAIRS])
-    inverse = inverse[np.array(PACKED, np.int32)]
     count = details[:, None]
     return materialize(jnp.where(both, inverse * count, 0)), total(count * jnp.log(det), 0, 1)
 
@@ -140,14 +139,13 @@ def _row(problem: Problem, at: Unknowns) -> tuple[Array, Array, Array]:
     moved, size = row_size(problem.rows, row)
     size = jnp.where(problem.held_row, size + jnp.finfo(size.dtype).tiny ** 0.5, 1)
     each = materialize(jnp.where(problem.held_row, problem.details / size, 0))
-    spun = jnp.concatenate([crosses(along), crosses(parts[1])], axis=1)  # (3, 6, ...), e_m x v
+    spun = jnp.swapaxes(crosses(jnp.swapaxes(parts, 0, 1)), 1, 2).reshape(3, *row.shape)  # e_m x v
     tilted = jnp.swapaxes(frame[:, :2] - along[:, None] * axis[None, :2], 0, 1) * inverse
     tilted = jnp.where(problem.tilted, tilted, 0)
     zero = jnp.zeros_like(third)
     advance = jnp.concatenate([zero, jnp.where(problem.pitch, -third, 0)])[None]
-    slopes = materialize(
-        jnp.concatenate([spun, jnp.concatenate([tilted, jnp.zeros_like(tilted)], axis=1), advance])
-    )
+    spun, tilted, advance = materialize((spun, tilted, advance))
+    slopes = jnp.concatenate([spun, jnp.concatenate([tilted, jnp.zeros_like(tilted)], axis=1), advance])
     gradient = total(slopes * materialize(total(each * moved, 1))[None], 1)
     carried = materialize(times(slopes, materialize(total(problem.rows * each, 2))))
     hessian = materialize(total(carried[:, None] * slopes[None], 2))
@@ -165,7 +163,7 @@ def _expand(problem: Problem, at: Unknowns) -> Local:
     """The objective about a point, in rotation, origin, and tilt with pitch."""
     value, first, blocks, both = _blocks(problem, at.frame, at.origin)
     of_row, second, row = materialize(_row(problem, at))
-    turns = (blocks[:, :, 0] + row[:3, :3])[:, :, None]
+    turns = materialize(blocks[:, :, 0] + row[:3, :3])[:, :, None]
     return Local(
         value + of_row,
         jnp.stack([first[:, 0] + second[:3], first[:, 1], second[3:]], axis=1),

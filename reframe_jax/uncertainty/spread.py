@@ -6,7 +6,7 @@ import numpy as np
 
 from reframe_jax.calibration.robust import NORMAL_FACTOR, student_factor
 from reframe_jax.geometry.small import invert_symmetric, solve_positive
-from reframe_jax.geometry.symmetric import INDEX_PAIRS, ascending_eigh, to_matrix
+from reframe_jax.geometry.symmetric import INDEX_PAIRS, ascending_eigh
 from reframe_jax.model.fit import held_covariance
 from reframe_jax.uncertainty.refit import BLOCKS, SPANS, Refit
 
@@ -27,7 +27,8 @@ _PRIOR = 0.03  # information of the prior of a part, as a fraction of what a par
 def _row_precision(fit: Refit) -> Array:
     """Inverse covariance (S, 2, 6, 6) of constrained coordinates by scale, for rotations and translations."""
     covariance = held_covariance(fit.weights, fit.products, fit.entry)
-    inverse = to_matrix(tuple(invert_symmetric([covariance[..., i, j] for i, j in INDEX_PAIRS])[0]))
+    inverse, _ = invert_symmetric([covariance[..., i, j] for i, j in INDEX_PAIRS])
+    inverse = jnp.moveaxis(inverse, (0, 1), (-2, -1))
     whole = jnp.zeros((len(inverse), 2, 6, 6), inverse.dtype)
     whole = whole.at[:, 0, :3, :3].set(inverse[:, 0]).at[:, 1, 3:, 3:].set(inverse[:, 1])
     return jnp.where(fit.entry.held[:, None] & fit.entry.held[None], whole, 0)
