@@ -92,7 +92,7 @@ def scale_moments(
         sections += jnp.max(last, axis=1) - jnp.min(first, axis=1)
     blocks = number if about_mean is None else jnp.where(about_mean, 0, number)  # poses that blocks contain
     length = blocks // sections  # poses in a section
-    products, details, widths = [], [], []
+    parts, details, widths = [], [], []  # parts: values of a scale, and how many of them are not zero
     block, full, width = total, weight, jnp.ones(len(values), dtype)  # of the smooth part
     whole = width  # the width without gaps
     h = 1
@@ -107,7 +107,7 @@ def scale_moments(
                 both *= (section[:, 2 * h - 1 :] == section[:, : 1 - 2 * h])[:, None]
             found = jnp.sum(both, axis=(1, 2))
             fits = (length > (0 if h == 1 else 2 * h * _PART)) & (found >= _FEWEST)
-            products.append(_mean_products((means[..., h:] - means[..., :-h]) * both, found))
+            parts.append(((means[..., h:] - means[..., :-h]) * both, found))
             details.append(jnp.where(fits, found / (2 * h), 0))
             widths.append(jnp.full(len(values), h, dtype))
         if section is not None and h > 1:
@@ -127,11 +127,14 @@ def scale_moments(
     if section is not None:
         one = jnp.all(sections <= 1)
         rest = jax.lax.cond(one, lambda values, *_: values, _about_section, rest, full, section)
-    products.append(_mean_products(rest, found))
+    parts.append((rest, found))
     # motion is correlated: short sections tell no more of its smooth part than a recording without gaps
     details.append(jnp.maximum(jnp.minimum(used / width - sections, used / whole - 1), 0.5))
+    # sums are stacked before they are divided: a CPU does not vectorize what it concatenates
+    sums = [jnp.einsum("nfd,ngd->nfg", each, each, precision="highest") for each, _ in parts]
+    counts = jnp.stack([found for _, found in parts], axis=1)[..., None, None]
     return Moments(
-        jnp.stack(products, axis=1) + floor[:, None],
+        materialize(jnp.stack(sums, axis=1)) / jnp.maximum(counts, 1) + floor[:, None],
         jnp.stack(details, axis=1),
         jnp.stack([*widths, width], axis=1),
     )
@@ -153,9 +156,3 @@ def _about_section(values: jax.Array, weight: jax.Array, section: jax.Array) -> 
         return (values - sums[:-1] / jnp.maximum(sums[-1], 1)) * weight
 
     return jax.vmap(relative)(values, weight, section)
-
-
-def _mean_products(detail: jax.Array, found: jax.Array) -> jax.Array:
-    """Mean (N, F, F) of z z' over details (N, F, D), of which ``found`` (N,) are not zero."""
-    products = jnp.einsum("nfd,ngd->nfg", detail, detail, precision="highest")
-    return products / jnp.maximum(found, 1)[:, None, None]
