@@ -259,9 +259,10 @@ def compare(
     value = value - jnp.log(table.variants) - C.per_parameter * table.parameters
     value = value + jnp.where(table.pitch, _screw(amplitudes, pitch, worth), 0)
     # entries without held coordinates describe the same motion in the coordinates of different types: all of
-    # them get the lowest value
+    # them get the lowest value, less the cost of such a motion
     nothing = ~jnp.any(table.held, axis=0) & jnp.isfinite(value)
-    value = jnp.where(nothing, jnp.min(jnp.where(nothing, value, jnp.inf), axis=0), value)
+    lowest = jnp.min(jnp.where(nothing, value, jnp.inf), axis=0)
+    value = jnp.where(nothing, lowest - C.nothing_held, value)
     return value - jax.nn.logsumexp(value, axis=0)
 
 
