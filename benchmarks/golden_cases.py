@@ -194,7 +194,7 @@ def stops_specs() -> Iterator[Spec]:
 
 def faults_specs() -> Iterator[Spec]:
     moving = [label for label in CONSTRAINTS if label != "fixed"]
-    for fault, white, label in product(("jumps", "runs", "gap"), SIGMAS[1:4], moving):
+    for fault, white, label in product(("jumps", "runs", "gap", "missing"), SIGMAS[1:4], moving):
         yield Spec("faults", label, "measured", 20, white, seed=40, fault=fault)
 
 
@@ -374,7 +374,10 @@ def _disturb(spec: Spec, rotation: np.ndarray, position: np.ndarray, rng: np.ran
 def _spoil(
     fault: str, poses: np.ndarray, times: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Let poses jump by 0.1 m and 0.5 rad, one by one or in runs, or remove a second."""
+    """Let poses jump by 0.1 m and 0.5 rad, one by one or in runs; remove a second, or 30 % of the poses."""
+    if fault == "missing":
+        kept = np.sort(rng.permutation(len(times))[: 7 * len(times) // 10])
+        return poses[kept], times[kept]
     if fault == "gap":
         start = rng.integers(len(times) // 4, len(times) // 2)
         kept = (times < times[start]) | (times >= times[start] + 1)

@@ -1,5 +1,7 @@
 """Displacements across a gap in the times of a recording are not used."""
 
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +12,7 @@ from benchmarks import golden_cases
 from reframe_jax.model.moments import scale_moments
 from reframe_jax.motion.paths import sections_of
 
+EXAMPLE = Path(__file__).parent.parent / "examples" / "pin_on_plane.csv"
 POSES = 100
 moments = jax.jit(scale_moments)
 
@@ -53,6 +56,17 @@ def test_constraints_of_velocities_are_found_across_a_gap(label: str) -> None:
     assert np.all(found.counted)
     spread = rf.covariance(found, case.poses, times=case.times)
     assert np.all(np.isfinite(spread.matrix))
+
+
+def test_single_missing_poses_change_neither_the_name_nor_the_noise(rng: np.random.Generator) -> None:
+    """The motion across a missing pose is no noise: it would hide the smallest time scales."""
+    recording = rf.load_recording(EXAMPLE)
+    kept = np.sort(rng.permutation(len(recording.poses))[: 7 * len(recording.poses) // 10])
+    whole = rf.identify(recording.poses, times=recording.times)
+    part = rf.identify(recording.poses[kept], times=recording.times[kept])
+    assert part.name == whole.name
+    np.testing.assert_allclose(part.noise.position, whole.noise.position, rtol=0.5)
+    np.testing.assert_allclose(part.noise.rotation, whole.noise.rotation, rtol=0.5)
 
 
 def test_short_sections_have_short_scales(rng: np.random.Generator) -> None:

@@ -10,6 +10,7 @@ SIGMAS = np.array([1e-5, 1e-4, 1e-3, 4e-3])  # m, of as many windows; three time
 estimate = jax.jit(estimate_noise)
 ALL = np.ones((POSES, len(SIGMAS)), bool)
 NO_UNIT = np.zeros(len(SIGMAS))
+TIMES = np.repeat(0.02 * np.arange(POSES)[:, None], len(SIGMAS), axis=1)
 
 
 def smooth(amplitude=0.3, rates=(1.1, 1.7, 2.3), dt=0.02):
@@ -26,9 +27,25 @@ def white(rng):
 def test_white_noise_is_measured(rng):
     position = smooth() + SIGMAS * white(rng)
     turns = np.diff(smooth(0.5) + 3 * SIGMAS * white(rng), axis=1)
-    of_position, of_rotation = estimate(position, turns, ALL, NO_UNIT)
+    of_position, of_rotation = estimate(position, turns, TIMES, ALL, NO_UNIT)
     np.testing.assert_allclose(of_position, SIGMAS, rtol=0.15)
     np.testing.assert_allclose(of_rotation, 3 * SIGMAS, rtol=0.15)
+
+
+def test_missing_poses_are_no_noise(rng):
+    """The times show where poses are missing."""
+    kept = np.sort(rng.permutation(POSES)[: 3 * POSES // 4])
+    position, path = ((smooth() + SIGMAS * white(rng))[:, kept] for _ in range(2))
+    noise = estimate(position, np.diff(path, axis=1), TIMES[kept], ALL[kept], NO_UNIT)
+    np.testing.assert_allclose(noise, (SIGMAS, SIGMAS), rtol=0.3)
+
+
+def test_times_that_jitter_are_no_noise(rng):
+    """The poses are as smooth as at equal steps."""
+    position, path = (smooth() + SIGMAS * white(rng) for _ in range(2))
+    late = TIMES + rng.uniform(0, 0.01, size=TIMES.shape)
+    noise = estimate(position, np.diff(path, axis=1), late, ALL, NO_UNIT)
+    np.testing.assert_allclose(noise, (SIGMAS, SIGMAS), rtol=0.15)
 
 
 def test_smooth_motion_has_no_noise():
@@ -36,7 +53,7 @@ def test_smooth_motion_has_no_noise():
     position, turns = smooth(), np.diff(smooth(0.5), axis=1)
     position[:, 200:] += 0.1
     for noise, largest in zip(
-        estimate(position, turns, ALL, NO_UNIT), (np.abs(position), np.abs(turns)), strict=True
+        estimate(position, turns, TIMES, ALL, NO_UNIT), (np.abs(position), np.abs(turns)), strict=True
     ):
         assert np.all(noise < 1e-9)
         assert np.all(noise >= np.finfo(float).eps * largest.max())
@@ -47,7 +64,7 @@ def test_rounded_positions_have_the_noise_of_their_rounding():
     for amplitude in (0.3, 0.003):
         position = 1e-3 * np.round(1e3 * smooth(amplitude))
         unit = jax.jit(unit_of_rounding)(position, ALL)
-        of_position, _ = estimate(position, np.diff(smooth(), axis=1), ALL, unit)
+        of_position, _ = estimate(position, np.diff(smooth(), axis=1), TIMES, ALL, unit)
         assert np.all(of_position > 0.99e-3 / np.sqrt(12))
         assert np.all(of_position < 1e-3)
 
@@ -61,7 +78,7 @@ def test_samples_that_do_not_count_play_no_part(rng):
     spoilt[:, ~lost[:, 0]] = 9 * rng.normal(size=spoilt[:, ~lost[:, 0]].shape)
     beside = ~(lost[1:, 0] & lost[:-1, 0])
     whirled[:, beside] = 9 * rng.normal(size=whirled[:, beside].shape)
-    here, there = estimate(position, turns, lost, NO_UNIT), estimate(spoilt, whirled, lost, NO_UNIT)
+    here, there = (estimate(*path, TIMES, lost, NO_UNIT) for path in ((position, turns), (spoilt, whirled)))
     np.testing.assert_allclose(here, (SIGMAS, SIGMAS), rtol=0.2)
     # but for the rounding of numbers as large as these
     np.testing.assert_allclose(there, here, rtol=1e-9)

@@ -139,15 +139,15 @@ def _decompose(s: Array | Sequence[Array]) -> tuple[Array, ...]:
     return a, d2, pivot(f - l3 * c - l4 * u, f), l2, l3, l4
 
 
-def invert_symmetric(s: Array | Sequence[Array], packed: bool = False) -> tuple[Array, Array]:
+def invert_symmetric(s: Array | Sequence[Array]) -> tuple[Array, Array]:
     """Invert symmetric, positive definite 3x3 matrices, accurately also where they are nearly singular.
 
-    The result is the inverses (3, 3, ...), or their components 11, 12, 13, 22, 23, 33 if ``packed`` (6, ...),
-    and the determinants.
+    From the components 11, 12, 13, 22, 23, 33, the result is the inverses (3, 3, ...) and the determinants.
     """
     d1, d2, d3, l2, l3, l4 = _decompose(s)
-    pairs = np.array(INDEX_PAIRS) if packed else np.indices((3, 3)).transpose(1, 2, 0)
-    units = np.eye(3)[pairs].T  # 1 where the first or the second index of a component is 0, 1 or 2
+    units = np.moveaxis(
+        np.eye(3)[np.indices((3, 3))], 3, 0
+    )  # 1 where the first or the second index is 0, 1 or 2
     x, y, z = jnp.asarray(units.reshape(*units.shape, *[1] * d1.ndim), d1.dtype)
     # the sum of v v' / d over the rows v of the inverse of L, with products instead of concatenated
     # components, which are slow on a CPU

@@ -72,13 +72,13 @@ def prepare_windows(
     constant = jax.lax.stop_gradient(constant_components(position, counted))
     hidden = np.random.default_rng(0).uniform(-0.5, 0.5, (poses.shape[1], 3)).T[:, :, None]
     position = position + jnp.where(constant[:, None], unit * jnp.asarray(hidden, position.dtype), 0)
+    times = jnp.concatenate([jnp.zeros_like(steps[:, :1]), jnp.cumsum(steps, axis=1)], axis=1)
+    times = jnp.broadcast_to(times, own.shape).T
     section = None
     if not single_steps:
-        times = jnp.concatenate([jnp.zeros_like(steps[:, :1]), jnp.cumsum(steps, axis=1)], axis=1)
-        times = jnp.broadcast_to(times, own.shape).T
         rotation, position, counted = repair_poses(rotation, position, times, number, unit, scales < 0)
         section = jnp.broadcast_to(sections_of(steps) * (scales < 0), own.shape)
-    still = jax.lax.stop_gradient((position, kinematics.turns_of(rotation)))
+    still = jax.lax.stop_gradient((position, kinematics.turns_of(rotation), times))
     noise = jnp.stack(estimate_noise(*still, counted, unit), axis=1)
     distance = jnp.sqrt(jnp.max(jnp.where(counted, jnp.sum(jnp.square(still[0]), axis=0), 0), axis=0))
     # poses without order give no estimate of the noise except the rounding error

@@ -31,7 +31,7 @@ class Evidence(NamedTuple):
             to every coordinate of entries with more freedom.
         repeatable_gain: largest factor by which this raises one; fits seldom reduce such errors by more.
         per_parameter: cost of a parameter, in log evidence.
-        nothing_held: cost of an unconstrained motion, in log evidence; 0 costs names of soft contacts.
+        nothing_held: cost of an unconstrained motion, in log evidence; with 0, fewer soft contacts are named.
         screw_worth: largest number of independent values in the comparison of the translation of a screw
             with its rotation.
         pitch_cost: cost of a pitch: its log is uniform over three decades for each sign, and a screw is less
@@ -56,7 +56,7 @@ class Evidence(NamedTuple):
     repeatable_part: float = 0.5
     repeatable_gain: float = 3.0
     per_parameter: float = 1.0
-    nothing_held: float = 1.0
+    nothing_held: float = 0.5
     screw_worth: float = 6.0
     pitch_cost: float = log(13.8 * 7)
 

@@ -153,9 +153,9 @@ def _norm(coefficients: Array, counts: Array, x: Array) -> Array:
 def _starts(coefficients: Array, counts: Array, unexplained: Array) -> Array:
     """Starting origins (3, T, starts, N): of the unexplained covariance, of least motion, and fixed."""
     traces = coefficients[0] + coefficients[3] + coefficients[5]
-    inverse, _ = invert_symmetric([unexplained[i, j] for i, j in INDEX_PAIRS], packed=True)
+    inverse, _ = invert_symmetric([unexplained[i, j] for i, j in INDEX_PAIRS])
     halves = jnp.asarray(_HALVES, traces.dtype)
-    inverse = jnp.broadcast_to(inverse[:, None], (6, *traces.shape[1:]))
+    inverse = jnp.broadcast_to(inverse[:, :, None], (3, 3, *traces.shape[1:]))
     squares = [square[_FORM] * halves for square in (total(traces * (counts > 0), 1), traces[:, -1])]
     forms = jnp.concatenate([_tangent(coefficients, counts, inverse), *squares], axis=3)
     found = -solve_symmetric(_lift(forms[1:, 1:]), forms[1:, 0])
@@ -192,7 +192,7 @@ def _slope(coefficients: Array, x: Array) -> Array:
 def _tangent(coefficients: Array, counts: Array, inverse: Array) -> Array:
     """sum_s n_s tr(Sigma_s^-1 Sigma_s(y)): the matrix of a quadratic form in (1, y), (4, 4, T, K, N)."""
     twice = jnp.asarray([1.0 if i == j else 2.0 for i, j in INDEX_PAIRS], counts.dtype)
-    weights = materialize(inverse * (twice.reshape(6, *[1] * counts.ndim) * counts))
+    weights = materialize(inverse[_PAIRS] * (twice.reshape(6, *[1] * counts.ndim) * counts))
     # one component after the other, so that the data stay in the cache
     q = total(materialize(total(coefficients * weights[:, None], 0)), 1)
     return q[_FORM] * jnp.asarray(_HALVES, q.dtype)
@@ -205,7 +205,7 @@ def _lift(matrix: Array) -> Array:
 
 
 def _tangent_step(coefficients: Array, counts: Array, box: Array, x: Array) -> Array:
-    inverse, _ = invert_symmetric(_sigma(coefficients, x), packed=True)
+    inverse, _ = invert_symmetric(_sigma(coefficients, x))
     form = _tangent(coefficients, counts, inverse)
     step = solve_symmetric(_lift(form[1:, 1:]), form[1:, 0] + times(form[1:, 1:], x))
     # without motion, every origin is equally good
@@ -215,7 +215,7 @@ def _tangent_step(coefficients: Array, counts: Array, box: Array, x: Array) -> A
 def _expand(coefficients: Array, counts: Array, x: Array) -> tuple[Array, Array, Array, Array]:
     """F about origins (3, ...): value, slope (3, ...), Hessian (3, 3, ...) of the tangent, exact Hessian."""
     inverse, det = invert_symmetric(_sigma(coefficients, x))
-    form = _tangent(coefficients, counts, inverse[_PAIRS])
+    form = _tangent(coefficients, counts, inverse)
     change = _slope(coefficients, x)[_PLACE]
     product = materialize(total(inverse[:, :, None, None] * change[None], 1))  # (i, j, a, S, ...)
     squared = total(product[:, :, :, None] * jnp.swapaxes(product, 0, 1)[:, :, None], 0, 1)

@@ -4,8 +4,6 @@ White noise is independent from sample to sample. A high-order difference of con
 noise and hardly any of the smooth motion. All arrays have components first, then samples, then windows.
 """
 
-from math import comb
-
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -48,51 +46,57 @@ def masked_median(values: jax.Array, counted: jax.Array) -> jax.Array:
 
 
 def estimate_noise(
-    position: jax.Array, turns: jax.Array, counted: jax.Array, unit: jax.Array
+    position: jax.Array, turns: jax.Array, times: jax.Array, counted: jax.Array, unit: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Estimate the standard deviation of the white noise in each component of position and orientation.
 
-    The function computes an estimate from the median length of the differences of order 4 and 6, and returns
-    the lower one, or the rounding error for fewer than eight poses. It ignores constant components, as of a
-    planar tracker. The noise of rounded positions is at least their rounding error.
+    The function computes estimates from the median length of the differences of order 4 and 6, and returns
+    the lowest one, or the rounding error for fewer than eight poses. Differences for the given times are
+    right if poses are missing; those for equal steps, if only the times jitter. Constant components, as of a
+    planar tracker, are ignored. The noise of rounded positions is at least their rounding error.
 
     Args:
         position: (3, K+1, N) m.
         turns: (3, K, N) rad, rotation vectors of the steps between consecutive poses.
+        times: (K+1, N) s, increasing.
         counted: (K+1, N) bool, the poses to use.
         unit: (N,) m, unit to which the positions are rounded, or 0; see :func:`unit_of_rounding`.
 
     Returns:
         Standard deviations of position, (N,) m, and of orientation, (N,) rad.
     """
-    poses = counted.shape[0]
-    sizes, masks, scales = [], [], []
-    orders = [m for m in _ORDERS if m < poses]
     both = counted[1:] & counted[:-1]
     constant = constant_components(position, counted), constant_components(turns, both, 1)
     changes = ~jnp.stack(constant)  # (2, 3, N)
-    median = jnp.asarray(_MEDIAN_LENGTHS)[jnp.sum(changes, axis=1)]
-    # differences of order 2; the steps are those of order 1
-    whole, before = counted[2:] & counted[1:-1] & counted[:-2], 2
-    differences = jnp.stack([jnp.diff(position, 2, axis=1), jnp.diff(turns, axis=1)])
-    for order in orders:
-        more, before = order - before, order
-        whole = whole[more:] & whole[:-more]
-        differences = jnp.diff(differences, more, axis=2)
-        length = jnp.sqrt(jnp.sum(jnp.square(jnp.where(changes[:, :, None], differences, 0)), axis=1))
-        here = whole & jnp.any(changes, axis=1)[:, None]
-        sizes.append(jnp.pad(length, ((0, 0), (0, order), (0, 0))))
-        masks.append(jnp.pad(here, ((0, 0), (0, order), (0, 0))))
-        scales.append(median * comb(2 * order, order) ** 0.5)
-    size, mask = (jnp.moveaxis(jnp.stack(parts), 2, 0) for parts in (sizes, masks))  # (M, orders, 2, N)
-    deviation = masked_median(size, mask)
-    deviation = deviation / jnp.stack(scales).astype(position.dtype)
-    enough = jnp.sum(mask, axis=0) >= 4
-    best = jnp.min(jnp.where(enough, deviation, jnp.inf), axis=0)
-    rounding = jnp.stack([jnp.max(jnp.abs(values), axis=(0, 1)) for values in (position, turns)])
-    rounding = 4 * float(jnp.finfo(position.dtype).eps) * rounding
+    median = jnp.asarray(_MEDIAN_LENGTHS, position.dtype)[jnp.sum(changes, axis=1)]
+    path = jnp.stack([position, jnp.pad(jnp.cumsum(turns, axis=1), ((0, 0), (1, 0), (0, 0)))])
+    rounding = 4 * float(jnp.finfo(path.dtype).eps) * jnp.max(jnp.abs(path), axis=(1, 2))
+    # differences that contain a pose to leave out are NaN
+    path = jnp.where(counted, jnp.where(changes[:, :, None], path, 0), jnp.nan)
+    sizes = []
+    for order in [order for order in _ORDERS if order < len(counted)]:
+        length = jnp.sqrt(jnp.sum(jnp.square(_unit_differences(path, times, order)), axis=2))
+        sizes.append(jnp.pad(length, ((0, 0), (0, 0), (0, order), (0, 0)), constant_values=jnp.nan))
+    size = jnp.moveaxis(jnp.stack(sizes), 3, 0)  # (M, orders, 2 clocks, 2, N)
+    deviation = masked_median(size, jnp.isfinite(size)) / median
+    enough = jnp.sum(jnp.isfinite(size), axis=0) >= 4
+    best = jnp.min(jnp.where(enough, deviation, jnp.inf), axis=(0, 1))
     spreads = jnp.maximum(jnp.where(jnp.isfinite(best), best, 0), rounding)
     return jnp.maximum(spreads[0], unit / 12**0.5), spreads[1]
+
+
+def _unit_differences(values: jax.Array, times: jax.Array, order: int) -> jax.Array:
+    """Divided differences of values (2, 3, P, N), with the size of noise, for equal steps and for the times.
+
+    The result has the shape (2, 2, 3, P - order, N).
+    """
+    clocks = jnp.stack(jnp.broadcast_arrays(jnp.arange(len(times), dtype=times.dtype)[:, None], times))
+    at = jnp.stack([clocks[:, j : len(times) - order + j] for j in range(order + 1)])
+    gaps = (at[:, None] - at) / (at[-1] - at[0])
+    weights = 1 / jnp.prod(jnp.where(gaps == 0, 1, gaps), axis=1)
+    weights = (weights / jnp.sqrt(jnp.sum(weights * weights, axis=0)))[:, :, None, None]
+    terms = [weight * values[:, :, j : len(times) - order + j] for j, weight in enumerate(weights)]
+    return sum(terms[1:], terms[0])
 
 
 def constant_components(values: jax.Array, counted: jax.Array, least: float = 0.0) -> jax.Array:

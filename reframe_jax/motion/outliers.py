@@ -36,8 +36,6 @@ _JUMP = 0.12  # fourth difference across either end of a run over the distance; 
 _PARTS = 8  # parts of a batch of windows
 _MOST = 0.3  # largest fraction of outliers; with more, no pose is an outlier
 
-_NOISE_GAIN = 70**0.5  # white noise is larger by this factor in a fourth difference
-
 
 def repair_poses(
     rotation: Array, position: Array, times: Array, count: Array, unit: Array, wanted: ArrayLike = True
@@ -193,7 +191,7 @@ def _are_apart(around: Array, known: Array, run: Array, bend: Array | float, noi
 def _bends(path: Array) -> Array:
     """Return fourth differences (2, P - 4, N) of a path (9, P, N) about its poses, with the size of noise."""
     ends, beside = path[:, 4:] + path[:, :-4], path[:, 3:-1] + path[:, 1:-3]
-    return _lengths(ends - 4 * beside + 6 * path[:, 2:-2]) / _NOISE_GAIN
+    return _lengths(ends - 4 * beside + 6 * path[:, 2:-2]) / 70**0.5  # the gain of white noise
 
 
 def _lengths(x: Array) -> Array:
