@@ -145,9 +145,7 @@ def invert_symmetric(s: Array | Sequence[Array]) -> tuple[Array, Array]:
     From the components 11, 12, 13, 22, 23, 33, the result is the inverses (3, 3, ...) and the determinants.
     """
     d1, d2, d3, l2, l3, l4 = _decompose(s)
-    units = np.moveaxis(
-        np.eye(3)[np.indices((3, 3))], 3, 0
-    )  # 1 where the first or the second index is 0, 1 or 2
+    units = np.eye(3)[np.indices((3, 3))].transpose(3, 0, 1, 2)  # 1 where either index is 0, 1 or 2
     x, y, z = jnp.asarray(units.reshape(*units.shape, *[1] * d1.ndim), d1.dtype)
     # the sum of v v' / d over the rows v of the inverse of L, with products instead of concatenated
     # components, which are slow on a CPU
