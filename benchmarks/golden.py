@@ -12,7 +12,7 @@ Groups of recordings (:mod:`benchmarks.golden_cases` has the simulations):
 - ``correlated``: the same with errors that are correlated over some samples, at 50 Hz;
 - ``frames``: the same, with the body's frame 1 m from where its errors act, or with inverse poses;
 - ``stops``: the same constraints, with white noise or slow errors, moved in three parts with rests between;
-- ``faults``: the same constraints, with white noise and poses that jump or are missing;
+- ``faults``: the same constraints, with white noise and poses that jump, repeat or are missing;
 - ``nothing``: unconstrained motions with white noise or slow errors;
 - ``paper``: the twelve constraints of the paper, identified with ``scales=1`` and its thresholds;
 - ``arm``: demonstrations on the simulated arm, only with ``--arm``.

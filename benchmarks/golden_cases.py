@@ -10,7 +10,8 @@ origin lies within 0.3 m of the body's origin along each axis. Sums of sines dri
 - ``stops``: the same path in three moves, with rests of 0.83 s between them.
 
 In the group ``faults``, recordings of the motion ``measured`` with white noise have a fault: four poses that
-jump, of which the first or the last is one; two runs of two to seven poses that jump; or a missing second.
+jump, of which the first or the last is one; two runs of two to seven poses that jump; a
+missing second; 30 % missing poses; or poses that are recorded twice, by a recorder faster than the tracker.
 
 White noise has a standard deviation of sigma in m for positions and sigma / 0.3 m in rad for orientations.
 Slow errors are sums of three sines of 0.1 to 1.2 Hz in random directions, half of their variance in the axes
@@ -194,7 +195,7 @@ def stops_specs() -> Iterator[Spec]:
 
 def faults_specs() -> Iterator[Spec]:
     moving = [label for label in CONSTRAINTS if label != "fixed"]
-    for fault, white, label in product(("jumps", "runs", "gap", "missing"), SIGMAS[1:4], moving):
+    for fault, white, label in product(("jumps", "runs", "gap", "missing", "repeats"), SIGMAS[1:4], moving):
         yield Spec("faults", label, "measured", 20, white, seed=40, fault=fault)
 
 
@@ -374,7 +375,9 @@ def _disturb(spec: Spec, rotation: np.ndarray, position: np.ndarray, rng: np.ran
 def _spoil(
     fault: str, poses: np.ndarray, times: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Let poses jump by 0.1 m and 0.5 rad, one by one or in runs; remove a second, or 30 % of the poses."""
+    """Let poses jump by 0.1 m and 0.5 rad, one by one or in runs; remove or repeat poses."""
+    if fault == "repeats":
+        return poses[np.arange(len(times)) // 2 * 2], times
     if fault == "missing":
         kept = np.sort(rng.permutation(len(times))[: 7 * len(times) // 10])
         return poses[kept], times[kept]

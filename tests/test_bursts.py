@@ -1,6 +1,7 @@
 """Runs of poses that jump away together are found and left out; what moves, or stays away, is none."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -8,7 +9,7 @@ from scipy.spatial.transform import Rotation
 import reframe_jax as rf
 from reframe_jax.motion.kinematics import split_poses
 from reframe_jax.motion.noise import unit_of_rounding
-from reframe_jax.motion.outliers import repair_poses
+from reframe_jax.motion.outliers import find_outliers
 from reframe_jax.simulation import synthetic
 
 POSES, DT, NOISE = 151, 0.04, 1e-3
@@ -19,9 +20,9 @@ LONGEST_RUN = 12
 def find(poses, count):
     rotation, position = split_poses(poses[None])
     own = np.arange(len(poses))[:, None] < count
-    times = DT * np.arange(len(poses))[:, None]
-    counted = repair_poses(rotation, position, times, count[None], unit_of_rounding(position, own))[2]
-    return own[:, 0] & ~counted[:, 0]
+    path = jnp.concatenate([rotation.reshape(9, *own.shape), position])
+    steps = jnp.full((len(poses) - 1, 1), DT)
+    return find_outliers(path, steps, count[None], unit_of_rounding(position, own))[:, 0]
 
 
 @pytest.fixture(scope="module")

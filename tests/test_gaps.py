@@ -9,12 +9,16 @@ import pytest
 
 import reframe_jax as rf
 from benchmarks import golden_cases
-from reframe_jax.model.moments import scale_moments
+from reframe_jax.model.moments import Moments, scale_moments
 from reframe_jax.motion.paths import sections_of
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "pin_on_plane.csv"
 POSES = 100
-moments = jax.jit(scale_moments)
+
+
+@jax.jit
+def moments(values: jax.Array, counted: jax.Array, section: jax.Array | None = None) -> Moments:
+    return scale_moments(values, counted, jnp.full(len(values), values.shape[2]), section)
 
 
 def spec_with_a_gap(label: str) -> golden_cases.Spec:
@@ -38,10 +42,10 @@ def test_a_constant_in_each_section_changes_no_moment(rng: np.random.Generator) 
     section = np.repeat([[0, 1, 2], [0, 0, 0]], [30, 45, 25], axis=1)
     counted = rng.uniform(size=(2, POSES)) > 0.05
     other = values + np.stack([10 * rng.normal(size=(27, 3))[:, section[0]], np.ones((27, POSES))])
-    first, second = (moments(jnp.asarray(v), jnp.asarray(counted), None, section) for v in (values, other))
+    first, second = (moments(jnp.asarray(v), jnp.asarray(counted), section) for v in (values, other))
     np.testing.assert_allclose(second.products, first.products, atol=1e-8)
     np.testing.assert_array_equal(second.details, first.details)
-    whole = moments(jnp.asarray(values), jnp.asarray(counted), None)
+    whole = moments(jnp.asarray(values), jnp.asarray(counted))
     np.testing.assert_allclose(first.products[1], whole.products[1], atol=1e-12)
     assert np.all(first.details[0, 1:-1] < whole.details[0, 1:-1])
     assert first.details[0, -1] <= whole.details[0, -1]
@@ -73,11 +77,11 @@ def test_short_sections_have_short_scales(rng: np.random.Generator) -> None:
     """Blocks are shorter than sections, so that displacements within sections remain."""
     values = np.cumsum(rng.normal(size=(1, 27, POSES)), axis=2)
     section = np.arange(POSES)[None] // 10
-    found = moments(jnp.asarray(values), jnp.ones((1, POSES), bool), None, jnp.asarray(section, jnp.int32))
-    part = moments(jnp.asarray(values[:, :, :10]), jnp.ones((1, 10), bool), None)
+    found = moments(jnp.asarray(values), jnp.ones((1, POSES), bool), jnp.asarray(section, jnp.int32))
+    part = moments(jnp.asarray(values[:, :, :10]), jnp.ones((1, 10), bool))
     used = found.details[0] > 0
     np.testing.assert_array_equal(found.width[0, used], part.width[0, part.details[0] > 0])
-    whole = moments(jnp.asarray(values), jnp.ones((1, POSES), bool), None)
+    whole = moments(jnp.asarray(values), jnp.ones((1, POSES), bool))
     assert found.details[0, -1] <= whole.details[0, -1]
 
 

@@ -327,7 +327,7 @@ class TestDiscretization:
         shape = rng.normal(size=count)
         values, expected = np.polyval(shape, middle), np.polyval(np.polyder(shape), middle)
         even = jnp.asarray([True, False])
-        weights = jax.jit(paths._derivative_weights)(jnp.asarray(dt), even, None)
+        weights = jax.jit(paths._derivative_weights)(jnp.asarray(dt), even, np.array([steps]))
         assert weights.shape == (2 * count - 1, steps, 2)
         found = jax.jit(paths._derivative)(
             weights, jnp.broadcast_to(jnp.asarray(values.T), (3, 2, 2, steps, 2))
@@ -337,7 +337,7 @@ class TestDiscretization:
     def test_derivatives_across_very_different_steps_use_few_nodes(self, rng):
         dt = np.where(np.arange(20) % 4 == 3, 0.4, 0.05)[None]
         middle = np.cumsum(dt, axis=-1) - dt / 2
-        weights = jax.jit(paths._derivative_weights)(jnp.asarray(dt), jnp.asarray([False]), None)
+        weights = jax.jit(paths._derivative_weights)(jnp.asarray(dt), jnp.asarray([False]), np.array([20]))
         weights = np.asarray(weights)[..., 0]
         found = paths._derivative(
             jnp.asarray(weights[..., None]), jnp.broadcast_to(jnp.asarray(middle.T**2), (3, 2, 2, 20, 1))

@@ -4,26 +4,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
 import reframe_jax as rf
 from reframe_jax.motion.kinematics import split_poses
-from reframe_jax.motion.outliers import repair_poses
+from reframe_jax.motion.outliers import find_outliers
 from reframe_jax.simulation import synthetic
 
 POSES, DT, NOISE = 51, 0.04, 1e-4
 
 
 @jax.jit
-def repair(poses, times, count):
-    """Poses (N, P, 4, 4) without outliers, and which count (N, P)."""
+def find(poses, count):
+    """Which poses (N, P, 4, 4) are outliers, (N, P)."""
     rotation, position = split_poses(poses)
-    unit = jnp.zeros(len(poses))
-    rotation, position, counted = repair_poses(rotation, position, times.T, count, unit)
-    top = jnp.concatenate([rotation, position[:, None]], axis=1)
-    filled = poses.at[:, :, :3].set(jnp.moveaxis(top, (0, 1, 2, 3), (2, 3, 1, 0)))
-    return filled, counted.T
+    path = jnp.concatenate([rotation.reshape(9, *position.shape[1:]), position])
+    steps = jnp.full((path.shape[1] - 1, len(poses)), DT)
+    return find_outliers(path, steps, count, jnp.zeros(len(poses))).T
 
 
 @pytest.fixture(scope="module")
@@ -47,24 +44,6 @@ def shift(poses, samples, distance):
     spoilt = poses.copy()
     spoilt[samples, :3, 3] += np.array([0.0, 0.6, 0.8]) * distance
     return spoilt
-
-
-def test_a_gap_in_a_fast_turn_is_filled_by_the_same_turn():
-    times = DT * np.arange(POSES)
-    angle = 1.5 * np.sin(2 * times)
-    axis, arm = np.array([0.48, 0.6, 0.64]), np.array([0.3, -0.2, 0.1])
-    turns = Rotation.from_rotvec(angle[:, None] * axis)
-    exact = np.tile(np.eye(4), (POSES, 1, 1))
-    exact[:, :3, :3], exact[:, :3, 3] = turns.as_matrix(), turns.apply(arm)
-    spoilt = exact
-    for sample in range(36, 42):
-        spoilt = shift(spoilt, [sample], 0.5 * (-1) ** sample)
-    filled, counted = repair(spoilt[None], times[None], np.array([POSES]))
-    assert list(np.flatnonzero(~np.asarray(counted[0]))) == list(range(36, 42))
-    rotation, position = np.asarray(filled[0, :, :3, :3]), np.asarray(filled[0, :, :3, 3])
-    np.testing.assert_allclose(rotation @ axis, np.tile(axis, (POSES, 1)), atol=1e-9)
-    np.testing.assert_allclose(position, rotation @ arm, atol=1e-9)
-    np.testing.assert_allclose(rotation, exact[:, :3, :3], atol=0.02)
 
 
 @pytest.mark.parametrize("samples", [[30], [12, 13], [3, 28, 29, 45], [0], [1], [49], [50], [0, 4]], ids=str)
@@ -117,8 +96,7 @@ def test_a_short_fast_motion_between_rests_is_no_outlier(samples, pause):
     window[:, :3, :3] = Rotation.from_rotvec(np.outer(0.5 * part, [0.6, 0.0, 0.8])).as_matrix()
     window[:, :3, 3] = 0.2 * part[:, None] * [0.0, 1.0, 0.0]
     window[:, :3, 3] += 1e-6 * np.random.default_rng(0).normal(size=(150, 3))
-    _, counted = repair(window[None], DT * np.arange(150)[None], np.array([150]))
-    assert np.all(counted)
+    assert not np.any(find(window[None], np.array([150])))
 
 
 def test_a_step_that_does_not_come_back_is_no_outlier(poses):
@@ -131,15 +109,21 @@ def test_too_many_outliers_are_none(poses):
     assert found_in(shift(poses, every_other, 0.05)) == []
 
 
-def test_what_is_left_out_is_filled_in(poses):
-    """By the motion between the poses beside it, and by nothing in the other windows; padding stays."""
+def test_padding_and_other_windows_have_no_outliers(poses):
     spoilt = turn(shift(poses, [20, 21], 0.3), [20, 21], 1.0)
     spoilt[40:] = spoilt[39]
-    windows, times = np.stack([spoilt, poses]), np.tile(DT * np.arange(POSES), (2, 1))
-    filled, counted = (np.asarray(a) for a in repair(windows, times, np.array([40, POSES], np.int32)))
-    assert list(np.flatnonzero(~counted[0])) == [20, 21, *range(40, POSES)]
-    assert np.all(counted[1])
-    np.testing.assert_array_equal(filled[1], poses)
-    np.testing.assert_array_equal(filled[0, :20], poses[:20])
-    third = poses[19] @ expm(logm(np.linalg.inv(poses[19]) @ poses[22]) / 3)
-    np.testing.assert_allclose(filled[0, 20], third, atol=1e-9)
+    found = np.asarray(find(np.stack([spoilt, poses]), np.array([40, POSES], np.int32)))
+    assert list(np.flatnonzero(found[0])) == [20, 21]
+    assert not np.any(found[1])
+
+
+def test_an_outlier_is_as_a_pose_that_was_never_recorded(poses):
+    times, samples = DT * np.arange(POSES), [0, 12, 13, 30]
+    found = rf.identify(turn(shift(poses, samples, 0.3), samples, 1.0), times=times)
+    kept = np.delete(np.arange(POSES), samples)
+    other = rf.identify(poses[kept], times=times[kept])
+    np.testing.assert_array_equal(np.flatnonzero(found.counted), kept)
+    np.testing.assert_allclose(found.entry_probability, other.entry_probability, atol=1e-5)
+    np.testing.assert_allclose(found.linear.position, other.linear.position, atol=1e-7)
+    np.testing.assert_allclose(found.linear.rms, other.linear.rms, rtol=1e-5)
+    np.testing.assert_allclose(found.noise.position, other.noise.position, rtol=1e-5)

@@ -58,7 +58,7 @@ def largest(array: Array, axis: int = 0) -> Array:
 def pick(array: Array, index: Array, axis: int) -> Array:
     """Select entries of an axis by indices that exist; ``index`` has the last axes of the array, or all."""
     index = index.reshape(*[1] * (array.ndim - index.ndim), *index.shape)
-    return jnp.take_along_axis(array, index, axis=axis, mode="clip")
+    return jnp.take_along_axis(array, index, axis=axis, mode="promise_in_bounds")
 
 
 def times(matrix: Array, vector: Array) -> Array:

@@ -97,14 +97,9 @@ def _eigh_jvp(primals: tuple[Symmetric], tangents: tuple[Symmetric]) -> tuple[tu
     """First-order perturbation: ds_i = e_i.dS e_i, de_i = sum_j e_j (e_j.dS e_i) / (s_i - s_j)."""
     (s,), (ds,) = primals, tangents
     values, vectors = eigh(s)
-    d_values = tuple(quadratic_form(e, ds, e) for e in vectors)
-    d_vectors = []
-    for i in range(3):
-        terms = []
-        for j in range(3):
-            if j != i:
-                gap = values[i] - values[j]
-                coupling = quadratic_form(vectors[j], ds, vectors[i])
-                terms.append((jnp.where(gap == 0, 0, coupling / jnp.where(gap == 0, 1, gap)), vectors[j]))
-        d_vectors.append(tuple(sum(coupling * e[c] for coupling, e in terms) for c in range(3)))
-    return (values, vectors), (d_values, tuple(d_vectors))
+    e, d = jnp.stack([jnp.stack(vector) for vector in vectors]), jnp.stack(ds)[np.array(PACKED)]
+    seen = jnp.einsum("ia...,ab...,jb...->ij...", e, d, e, precision="highest")
+    gap = jnp.stack(values)[:, None] - jnp.stack(values)
+    mixed = jnp.where(gap == 0, 0, seen / jnp.where(gap == 0, 1, gap))
+    d_vectors = jnp.einsum("ij...,ja...->ia...", mixed, e, precision="highest")
+    return (values, vectors), (tuple(seen[i, i] for i in range(3)), tuple(map(tuple, d_vectors)))

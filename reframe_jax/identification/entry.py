@@ -232,7 +232,7 @@ def _identify_flat(
 
     def of_windows(windows: tuple[jax.Array, jax.Array]) -> Identification:
         poses, steps = windows
-        count = None if length is None else jnp.full(len(poses), length)
+        count = jnp.full(len(poses), poses.shape[1] if length is None else length, jnp.int32)
         with jax.default_matmul_precision("highest"):  # a GPU would round single precision to ten bits
             return identify_windows(poses, steps, count, bounds, thresholds, key, *arrays, **static)
 

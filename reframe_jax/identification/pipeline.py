@@ -21,7 +21,7 @@ Array = jax.Array
 def identify_windows(
     poses: Array,
     steps: Array,
-    count: Array | None,
+    count: Array,
     bounds: Array | None,
     thresholds: Thresholds | None,
     key: Array,

@@ -6,12 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.geometry.small import pick
 from reframe_jax.model.features import Features, pose_features
 from reframe_jax.model.moments import Moments, scale_moments
 from reframe_jax.motion import kinematics
 from reframe_jax.motion.checks import window_status
 from reframe_jax.motion.noise import constant_components, estimate_noise, unit_of_rounding
-from reframe_jax.motion.outliers import repair_poses
+from reframe_jax.motion.outliers import find_outliers, find_repeats
 from reframe_jax.motion.paths import sections_of
 
 _REACH = 2.0  # half the width of the cube of origins: 2 m, or twice the extent of the motion if that is more
@@ -25,10 +26,11 @@ class Prepared(NamedTuple):
     status: Array  # (N,) codes of ``Status``
     centre: Array  # (N, 3) m, mean position of the recorded poses, which is subtracted from all positions
     poses: Array  # (N, P, 4, 4) m, relative to ``centre``
-    counted: Array  # (N, P) bool, poses that are neither outliers nor padding
+    counted: Array  # (N, P) bool, given poses that are neither outliers nor padding
+    # ---- the rest is without outliers and repeated poses
     section: Array | None  # (N, P) int, sections between gaps; None for chosen scales
-    steps: Array  # (1, K) or (N, K) durations of the steps, s
-    # (N,) number of poses before the padding
+    steps: Array  # (N, K) durations of the steps, s
+    # (N,) number of poses
     count: Array  # type: ignore[assignment]  # tuple.count
     noise: Array  # (N, 2) m and rad, standard deviation of the white noise of every component
     features: Features  # of the poses; see :mod:`reframe_jax.model`
@@ -39,7 +41,7 @@ class Prepared(NamedTuple):
 def prepare_windows(
     poses: Array,
     steps: Array,
-    count: Array | None,
+    count: Array,
     bounds: Array | None,
     scales: Array,
     single_steps: bool = False,
@@ -48,8 +50,8 @@ def prepare_windows(
 
     Args:
         poses: (N, P, 4, 4) m.
-        steps: (K,) or (N, K) durations of the steps, s.
-        count: (N,) number of poses in each window, if the poses after them are padding; else None.
+        steps: (N, K) durations of the steps, s.
+        count: (N,) number of poses in each window; the poses after them are padding.
         bounds: () m, half the width of the cube of origins; None or NaN for the default.
         scales: () int, see :func:`.take_scales`. Only with -1, outliers are left out and gaps have an effect.
         single_steps: whether the scales are 1, for a smaller program.
@@ -59,37 +61,59 @@ def prepare_windows(
     # a failed window gets valid numbers, so that no NaN enters a derivative
     poses = jnp.where(failed[:, None, None, None], _harmless(poses), poses)
     steps = jnp.where(jnp.isfinite(steps) & (steps > 0), steps, 1)
-    steps = steps[None] if steps.ndim == 1 else steps
-    number = jnp.full(len(poses), poses.shape[1], jnp.int32) if count is None else count
-    own = jnp.arange(poses.shape[1], dtype=jnp.int32)[None] < number[:, None]
-    total = jnp.sum(jnp.where(own[..., None], poses[:, :, :3, 3], 0), axis=1)
-    centre = jax.lax.stop_gradient(total / number.astype(poses.dtype)[:, None])
+    here = jnp.arange(poses.shape[1], dtype=jnp.int32)[:, None]
+    own = here < count
+    total = jnp.sum(jnp.where(own.T[..., None], poses[:, :, :3, 3], 0), axis=1)
+    centre = jax.lax.stop_gradient(total / count.astype(poses.dtype)[:, None])
     poses = poses.at[:, :, :3, 3].add(-centre[:, None])
     rotation, position = kinematics.split_poses(poses)
-    counted = own.T
-    unit = jax.lax.stop_gradient(unit_of_rounding(position, counted))
+    path = jnp.concatenate([rotation.reshape(9, *own.shape), position])
+    unit = jax.lax.stop_gradient(unit_of_rounding(position, own))
     # rounding hides the error of a constant component: without it, the component would count as exact
-    constant = jax.lax.stop_gradient(constant_components(position, counted))
-    hidden = np.random.default_rng(0).uniform(-0.5, 0.5, (poses.shape[1], 3)).T[:, :, None]
-    position = position + jnp.where(constant[:, None], unit * jnp.asarray(hidden, position.dtype), 0)
-    times = jnp.concatenate([jnp.zeros_like(steps[:, :1]), jnp.cumsum(steps, axis=1)], axis=1)
-    times = jnp.broadcast_to(times, own.shape).T
-    section = None
+    constant = jax.lax.stop_gradient(constant_components(position, own))
+    random = np.random.default_rng(0).uniform(-0.5, 0.5, (poses.shape[1], 3)).T[:, :, None]
+    hidden = jnp.where(constant[:, None], unit * jnp.asarray(random, position.dtype), 0)
+    counted, window = own, (path.at[9:].add(hidden), steps.T, sections_of(steps).T * (scales < 0), count)
     if not single_steps:
-        rotation, position, counted = repair_poses(rotation, position, times, number, unit, scales < 0)
-        section = jnp.broadcast_to(sections_of(steps) * (scales < 0), own.shape)
+        repeated = find_repeats(path, own) & (scales < 0)
+        window = _leave_out(window, repeated)
+        outliers = find_outliers(*window[:2], window[3], unit, scales < 0)
+        counted = own & ~pick(outliers, jnp.cumsum(~repeated, axis=0, dtype=jnp.int32) - 1, 0)
+        window = _leave_out(window, outliers)
+    path, gaps, section, count = window
+    rotation, position, own = path[:9].reshape(3, 3, *own.shape), path[9:], here < count
+    times = jnp.pad(jnp.cumsum(gaps, axis=0), ((1, 0), (0, 0)))
     still = jax.lax.stop_gradient((position, kinematics.turns_of(rotation), times))
-    noise = jnp.stack(estimate_noise(*still, counted, unit), axis=1)
-    distance = jnp.sqrt(jnp.max(jnp.where(counted, jnp.sum(jnp.square(still[0]), axis=0), 0), axis=0))
+    noise = jnp.stack(estimate_noise(*still, own, unit), axis=1)
+    distance = jnp.sqrt(jnp.max(jnp.where(own, jnp.sum(jnp.square(still[0]), axis=0), 0), axis=0))
     # poses without order give no estimate of the noise except the rounding error
     size = jnp.stack([distance, jnp.full_like(distance, np.pi)], axis=1)
     noise = jnp.where(scales == 0, 4 * float(jnp.finfo(poses.dtype).eps) * size, noise)
-    features = pose_features(rotation, position, steps, counted, count)
-    moments = scale_moments(features.values, counted.T, count, section, scales == 0)
+    features = pose_features(rotation, position, gaps.T, count)
+    sections = None if single_steps else section.T
+    moments = scale_moments(features.values, own.T, count, sections, scales == 0)
     box = jnp.maximum(_REACH, _REACH * distance)
     if bounds is not None:
         box = jnp.where(jnp.isnan(bounds), box, jnp.asarray(bounds, box.dtype))
-    return Prepared(status, centre, poses, counted.T, section, steps, number, noise, features, moments, box)
+    return Prepared(status, centre, poses, counted.T, sections, gaps.T, count, noise, features, moments, box)
+
+
+_Window = tuple[Array, Array, Array, Array]  # path (12, P, N), steps (K, N) in s, sections (P, N), count (N,)
+
+
+def _leave_out(window: _Window, left: Array) -> _Window:
+    """Leave out poses (P, N) bool of windows; padding takes their place."""
+    path, steps, section, count = window
+    here = jnp.arange(len(left), dtype=jnp.int32)[:, None]
+
+    def shorten(_: None) -> _Window:
+        order = jnp.sort(jnp.where(left, len(left) - 1, here), axis=0)
+        fewer = count - jnp.sum(left, axis=0, dtype=jnp.int32)
+        gaps = jnp.diff(pick(jnp.pad(jnp.cumsum(steps, axis=0), ((1, 0), (0, 0))), order, 0), axis=0)
+        gaps = pick(gaps, jnp.minimum(here[:-1], fewer - 2), 0)
+        return pick(path, order, 1), jnp.where(fewer < count, gaps, steps), pick(section, order, 0), fewer
+
+    return jax.lax.cond(jnp.any(left), shorten, lambda _: window, None)
 
 
 def _harmless(poses: Array) -> Array:

@@ -63,8 +63,8 @@ def report_windows(
         of_steps: moments of the velocities of single steps, if RMS velocities are those of single steps.
         assumed: () bool, whether the caller assumes a constraint.
     """
-    window = window._replace(steps=jnp.broadcast_to(window.steps, (len(window.poses), window.steps.shape[1])))
-    step = jnp.mean(window.steps, axis=1)
+    own = jnp.arange(window.steps.shape[1]) < window.count[:, None] - 1
+    step = jnp.sum(window.steps * own, axis=1) / (window.count - 1).astype(window.steps.dtype)
     single_steps = of_steps is not None
     if of_steps is not None:
         types = types_of_steps(of_steps, solved, exponent)
@@ -114,7 +114,7 @@ def _report_window(
     centre = jnp.where((np.array(POSITION_BODIES) == int(AngularType.G))[:, None], window.centre, 0)
     positions = solved.origins.at[kind].set(position) + centre
     candidates = _candidates(frames, types, kind, linear_dof, positions)
-    velocities = jnp.sum(window.counted) - 1
+    velocities = window.count - 1
     a, linear, known = frames.angular_type, candidates.linear, entries_at(jnp.maximum(winner.code, 0))
     angular_rows = jax.tree.map(lambda leaf: leaf[a], frames.angular)
     turns = jnp.sum(angular_rows.dof)

@@ -43,28 +43,24 @@ class Features(NamedTuple):
     mean_rotation: jax.Array
 
 
-def pose_features(
-    rotation: jax.Array, position: jax.Array, steps: jax.Array, counted: jax.Array, count: jax.Array | None
-) -> Features:
+def pose_features(rotation: jax.Array, position: jax.Array, steps: jax.Array, count: jax.Array) -> Features:
     """Compute the features of the poses of N windows.
 
     Args:
         rotation: (3, 3, P, N) of {b} in {g}.
         position: (3, P, N) m in {g}, relative to the mean.
         steps: (1, K) or (N, K) s, time steps.
-        counted: (P, N) bool, poses that count.
-        count: (N,) number of poses before the padding; None without padding.
+        count: (N,) number of poses before the padding.
     """
     turns, shifts = twist_paths(rotation, position, steps, count)
     inside = times(jnp.swapaxes(rotation, 0, 1), position)
     rows = [position, rotation.reshape(9, *position.shape[1:]), inside]
     rows += [turns[:, 0], shifts[:, 0], turns[:, 1], shifts[:, 1]]
     values = jnp.moveaxis(jnp.concatenate(rows), -1, 0)
-    weight = counted.astype(values.dtype)
-    matrix = jnp.sum(rotation * weight, axis=2) / jnp.sum(weight, axis=0)
+    own = jnp.arange(values.shape[2])[:, None] < count
+    matrix = jnp.sum(jnp.where(own, rotation, 0), axis=2) / count.astype(values.dtype)
     means = (jnp.moveaxis(mean, -1, 0) for mean in (matrix, nearest_rotation(matrix)))
-    last = jnp.full(position.shape[-1], position.shape[1] - 1) if count is None else count - 1
-    chosen = (last[:, None] * np.linspace(0, 1, _SENSITIVE)).astype(jnp.int32)
+    chosen = ((count - 1)[:, None] * np.linspace(0, 1, _SENSITIVE)).astype(jnp.int32)
     here = jnp.swapaxes(pick(values, chosen[:, None], 2), 1, 2)
     return Features(values, *_sensitivity(here), *means)
 

@@ -63,7 +63,7 @@ class Moments(NamedTuple):
 def scale_moments(
     values: jax.Array,
     counted: jax.Array,
-    count: jax.Array | None,
+    count: jax.Array,
     section: jax.Array | None = None,
     about_mean: jax.Array | None = None,
 ) -> Moments:
@@ -72,25 +72,24 @@ def scale_moments(
     Args:
         values: (N, F, P) features.
         counted: (N, P) bool, poses that count; a block counts if half of its poses do.
-        count: (N,) number of poses before the padding; None without padding.
+        count: (N,) number of poses before the padding.
         section: (N, P) int, section between gaps that a pose belongs to; None for one section.
             Details are differences within a section, and the smooth part is relative to the section's mean.
         about_mean: () bool, whether to use no details, and displacements from the mean as the smooth part;
             the order of the poses then has no effect.
     """
     poses, dtype = values.shape[2], values.dtype
-    number = jnp.full(len(values), poses, jnp.int32) if count is None else count
     weight = counted.astype(dtype)[:, None]
     total, used = _about_mean(values, weight)
     # without noise, the moments are singular: every feature has at least the variance of rounding
     spread = jnp.sum(jnp.square(total), axis=2) / jnp.maximum(used, 1)[:, None]
     floor = _ROUNDINGS * float(jnp.finfo(dtype).eps) * jax.lax.stop_gradient(spread) + _LEAST
     floor = floor[:, None] * jnp.eye(values.shape[1], dtype=dtype)
-    sections = jnp.ones_like(number)
+    sections = jnp.ones_like(count)
     if section is not None:
         first, last = (jnp.where(counted, section, end) for end in (poses, 0))
         sections += jnp.max(last, axis=1) - jnp.min(first, axis=1)
-    blocks = number if about_mean is None else jnp.where(about_mean, 0, number)  # poses that blocks contain
+    blocks = count if about_mean is None else jnp.where(about_mean, 0, count)  # poses that blocks contain
     length = blocks // sections  # poses in a section
     parts, details, widths = [], [], []  # parts: values of a scale, and how many of them are not zero
     block, full, width = total, weight, jnp.ones(len(values), dtype)  # of the smooth part
@@ -98,7 +97,7 @@ def scale_moments(
     h = 1
     while h == 1 or _PART * h < poses:
         # a block counts only if at least half of its poses count
-        inside = jnp.arange(weight.shape[2]) + h <= number[:, None, None]  # no block reaches into padding
+        inside = jnp.arange(weight.shape[2]) + h <= count[:, None, None]  # no block reaches into padding
         here = ((weight >= max(1, h / 2)) & inside).astype(dtype)
         means = total * (here / jnp.maximum(weight, 1))
         if 2 * h * _PART < poses or h == 1:

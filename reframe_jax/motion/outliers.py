@@ -1,14 +1,14 @@
-"""Find outliers: poses that jump away and return, for example when a tracker flips an axis or swaps markers.
+"""Find poses to leave out: those that repeat the previous pose, and outliers.
 
-A run of up to twelve poses is an outlier if the poses around it agree with each other, but not with the run:
-the cubic through the two poses before it and the two after it predicts the next pose on either side much
-better than the first and the last pose of the run. The path jumps at both ends of the run. In a short fast
-motion, the path leaves the cubic gradually: the ends of the run are closer to the cubic than its middle, and
-there is no jump. The search tries the lengths of runs in turn, the shortest first, and removes what it finds,
-until no length finds a run. A body that jumps and stays has no poses after the jump that agree with those
-before it. Of the two poses at either end, one alone can be an outlier.
+An outlier jumps away and returns, for example when a tracker flips an axis or swaps markers. A run of up to
+twelve poses is an outlier if the poses around it agree with each other, but not with the run: the cubic
+through the two poses before it and the two after it predicts the next pose on either side much better than
+the first and the last pose of the run. The path jumps at both ends of the run. In a short fast motion, the
+path leaves the cubic gradually: the ends of the run are closer to the cubic than its middle, and there is no
+jump. The search tries the lengths of runs in turn, the shortest first, and removes what it finds, until no
+length finds a run. A body that jumps and stays has no poses after the jump that agree with those before it.
+Of the two poses at either end, one alone can be an outlier.
 
-An outlier does not enter the moments. Between the poses beside it, the twist is constant.
 Arrays have components first, then samples, and windows last.
 """
 
@@ -21,12 +21,13 @@ from jax import lax
 from jax.typing import ArrayLike
 
 from reframe_jax.geometry.small import pick, total
+from reframe_jax.motion.checks import MIN_VELOCITIES
 from reframe_jax.motion.noise import masked_median
-from reframe_jax.motion.paths import move_along, twist_between
 
-__all__ = ["repair_poses"]
+__all__ = ["find_outliers", "find_repeats"]
 
 Array = jax.Array
+_REST = 12  # equal poses beyond which a body is at rest; up to then, a slow tracker repeats its poses
 _LONGEST = 12  # poses of a run, at most
 _AROUND = 6  # poses around a run: four for the cubic, and two that it has to predict
 _NOISES = 4.0  # smallest distance from the cubic, in medians of its noise: six standard deviations
@@ -37,27 +38,38 @@ _PARTS = 8  # parts of a batch of windows
 _MOST = 0.3  # largest fraction of outliers; with more, no pose is an outlier
 
 
-def repair_poses(
-    rotation: Array, position: Array, times: Array, count: Array, unit: Array, wanted: ArrayLike = True
-) -> tuple[Array, Array, Array]:
-    """Find outliers, and replace them by interpolation between the poses beside them.
+def find_repeats(path: Array, own: Array) -> Array:
+    """Find poses that repeat the previous one, because the recorder is faster than the tracker: (P, N) bool.
+
+    A window with a rest, or with few different poses, has none.
 
     Args:
-        rotation: (3, 3, P, N).
-        position: (3, P, N) m.
-        times: (P, N) s.
+        path: (12, P, N) rotations and positions.
+        own: (P, N) bool, False for padding.
+    """
+    new = jnp.any(path[:, 1:] != path[:, :-1], axis=0)
+    number = jnp.pad(jnp.cumsum(new, axis=0, dtype=jnp.int32), ((1, 0), (0, 0)))
+    rests = jnp.any((number[_REST:] == number[:-_REST]) & own[_REST:], axis=0)
+    few = jnp.sum(new & own[1:], axis=0, dtype=jnp.int32) < MIN_VELOCITIES
+    return jnp.pad(~new, ((1, 0), (0, 0))) & own & ~(rests | few)
+
+
+def find_outliers(path: Array, steps: Array, count: Array, unit: Array, wanted: ArrayLike = True) -> Array:
+    """Find outliers, (P, N) bool.
+
+    Args:
+        path: (12, P, N) rotations, and positions in m.
+        steps: (K, N) s, steps between the poses.
         count: (N,) number of poses in each window; the poses after them are padding.
         unit: (N,) m, unit to which the positions are rounded, or 0.
         wanted: () bool, whether to search at all.
-
-    Returns:
-        Rotations and positions with the shapes of the input, and (P, N) bool: which poses are measured, that
-        is, neither outliers nor padding.
     """
-    own = jnp.arange(position.shape[1], dtype=jnp.int32)[:, None] < count
-    if position.shape[1] <= _AROUND + 4:
-        return rotation, position, own
-    measured: Array = lax.stop_gradient(jnp.concatenate([position, rotation[:, :2].reshape(6, *own.shape)]))
+    own = jnp.arange(path.shape[1], dtype=jnp.int32)[:, None] < count
+    if path.shape[1] <= _AROUND + 4:
+        return jnp.zeros_like(own)
+    times = jnp.pad(jnp.cumsum(steps, axis=0), ((1, 0), (0, 0)))
+    # positions, and the first two columns of the rotations
+    measured: Array = lax.stop_gradient(path[np.array([9, 10, 11, 0, 1, 3, 4, 6, 7], np.int32)])
     # the size of a jump is not a unit of rounding: rounded positions also have steps of one unit
     step = jnp.abs(jnp.diff(measured[:3], axis=1))
     unit = jnp.minimum(unit, jnp.min(jnp.where((step > 0) & own[1:], step, jnp.inf), axis=(0, 1)))
@@ -71,27 +83,17 @@ def repair_poses(
     part = -(-len(jumps) // _PARTS)
     order = jnp.argsort(~jumps, stable=True).astype(jnp.int32)
 
-    def search(k: Array, counted: Array) -> Array:
+    def search(k: Array, found: Array) -> Array:
         at = jnp.take(order, k * part + jnp.arange(part, dtype=jnp.int32), mode="clip")
         columns = partial(jnp.take, indices=at, axis=-1, mode="clip")
         path = jnp.concatenate([columns(measured), columns(times)[None]])
-        found = _measured(path, columns(noise), columns(count)) | ~columns(jumps)
-        return counted.at[:, at].set(found & columns(own))
+        measured_ones = _measured(path, columns(noise), columns(count))
+        return found.at[:, at].set(columns(own & jumps) & ~measured_ones)
 
     number = jnp.sum(jumps, dtype=jnp.int32)
-    counted = lax.fori_loop(0, (number + part - 1) // part, search, own)
-    fraction = jnp.sum(own & ~counted, axis=0, dtype=position.dtype) / count.astype(position.dtype)
-    counted = jnp.where(fraction <= _MOST, counted, own)
-
-    def fill(_: None) -> tuple[Array, Array]:
-        before, after, part = _beside(times, counted)
-        first, second = ((pick(rotation, place, 2), pick(position, place, 1)) for place in (before, after))
-        w, v = twist_between(first, second)
-        turned, moved = move_along(first, part * w, part * v)
-        return jnp.where(counted, rotation, turned), jnp.where(counted, position, moved)
-
-    fixed = lax.cond(jnp.any(counted != own), fill, lambda _: (rotation, position), None)
-    return *fixed, counted
+    outliers = lax.fori_loop(0, (number + part - 1) // part, search, jnp.zeros_like(own))
+    fraction = jnp.sum(outliers, axis=0, dtype=path.dtype) / count.astype(path.dtype)
+    return outliers & (fraction <= _MOST)
 
 
 def _measured(path: Array, noise: Array, count: Array) -> Array:
@@ -181,9 +183,6 @@ def _are_apart(around: Array, known: Array, run: Array, bend: Array | float, noi
     noise = _NOISES * noise.reshape(2, *[1] * (ends.ndim - 2), -1)
     limit = noise * jnp.sqrt(jnp.max(gain[2:], axis=0))
     agree = _AGREE * jnp.max(known * others, axis=1)
-    # a slow tracker repeats its poses: then, a step of the path is no jump
-    repeats = jnp.any(jnp.all(nodes[:9, ::2] == nodes[:9, 1::2], axis=0), axis=0)
-    agree = jnp.maximum(agree, repeats * _lengths(nodes[:9, 2] - nodes[:9, 1]))
     apart = (ends > limit) & (ends > agree) & (ends > _SUDDEN * middle)
     return jnp.any(apart & (bend > noise) & (bend > _JUMP * ends), axis=0)
 
@@ -198,15 +197,3 @@ def _lengths(x: Array) -> Array:
     """Return the lengths (2, ...) of the position part and the rotation part of components (9, ...)."""
     square = x * x
     return jnp.sqrt(jnp.stack([total(square[:3], 0), total(square[3:], 0)]))
-
-
-def _beside(times: Array, counted: Array) -> tuple[Array, Array, Array]:
-    """Counted poses beside every pose, (P, N) each, and the part of the time between them that has passed."""
-    number = len(times)
-    here = jnp.arange(number, dtype=jnp.int32)[:, None]
-    before = lax.cummax(jnp.where(counted, here, -1), axis=0)
-    after = lax.cummin(jnp.where(counted, here, number), axis=0, reverse=True)
-    before, after = jnp.where(before < 0, after, before), jnp.where(after == number, before, after)
-    before, after = jnp.clip(before, 0, number - 1), jnp.clip(after, 0, number - 1)
-    start, end = (pick(times, place, 0) for place in (before, after))
-    return before, after, jnp.where(end > start, (times - start) / jnp.where(end > start, end - start, 1), 0)

@@ -75,7 +75,7 @@ def step_twists(rotation: Array, position: Array) -> Array:
     return jnp.stack([jnp.stack([w, turned], axis=1), jnp.stack([v, moved], axis=1)], axis=1)
 
 
-def mean_twists(rotation: Array, position: Array, steps: Array, count: Array | None = None) -> Array:
+def mean_twists(rotation: Array, position: Array, steps: Array, count: Array) -> Array:
     """Mean twist over every step, without the brackets of the Magnus expansion.
 
     Brackets mix components: with them, constrained axes have an error that more data does not reduce (0.1
@@ -86,7 +86,7 @@ def mean_twists(rotation: Array, position: Array, steps: Array, count: Array | N
         rotation: (3, 3, K+1, N).
         position: (3, K+1, N) m.
         steps: (1, K) or (N, K) s, sample times.
-        count: (N,) number of poses, if the rest is padding, else None.
+        count: (1,) or (N,) number of poses; the others are padding.
 
     Returns:
         (3, 2, 2, K, N): angular (rad/s) and linear (m/s) velocities, in {b} and in {g}.
@@ -94,11 +94,11 @@ def mean_twists(rotation: Array, position: Array, steps: Array, count: Array | N
     h = steps.T
     twist = step_twists(rotation, position) / h
     even = _are_even(steps)
-    weights = _derivative_weights(steps, even, None if count is None else count - 1)
+    weights = _derivative_weights(steps, even, count - 1)
     return twist - _brackets(twist, weights, h, even)
 
 
-def twist_paths(rotation: Array, position: Array, steps: Array, count: Array | None) -> tuple[Array, Array]:
+def twist_paths(rotation: Array, position: Array, steps: Array, count: Array) -> tuple[Array, Array]:
     """Integrate the twist from the first pose to every pose; arguments as in :func:`mean_twists`.
 
     Returns:
@@ -170,7 +170,7 @@ def _brackets(means: Array, weights: Array, h: Array, even: Array) -> Array:
     return (outer + bracket(a2, side / 240 * a3 - 1 / 240 * a12)) / h
 
 
-def _derivative_weights(steps: Array, even: Array, count: Array | None) -> Array:
+def _derivative_weights(steps: Array, even: Array, count: Array) -> Array:
     """Finite-difference weights (2 n - 1, K, N), 1/s, of the nodes from n - 1 before each one to n - 1 after.
 
     The nodes are the middles of the steps, of which ``count`` (N,) are not padding. Each derivative uses the
@@ -180,8 +180,7 @@ def _derivative_weights(steps: Array, even: Array, count: Array | None) -> Array
     number = steps.shape[1]
     nodes = min(_STENCIL, number)
     each, nth = np.arange(number), np.arange(nodes)
-    last = jnp.full(1, number) if count is None else count
-    first = jnp.clip(each[:, None] - nodes // 2, 0, jnp.maximum(last - nodes, 0))  # (K, N)
+    first = jnp.clip(each[:, None] - nodes // 2, 0, jnp.maximum(count - nodes, 0))  # (K, N)
     windows = max(steps.shape[0], first.shape[1])
     first = jnp.broadcast_to(first, (number, windows))
     every = (first + nth[:, None, None]).reshape(-1, windows)
@@ -190,7 +189,7 @@ def _derivative_weights(steps: Array, even: Array, count: Array | None) -> Array
     # Lagrange's polynomial of node i has the derivative (c_h / c_i) / (t_h - t_i) at node h, c_i being
     # the product of t_i - t_j over the other nodes j; those of all nodes add up to zero
     own = each[:, None] - first
-    used = (even | (jnp.abs(nth[:, None, None] - own) <= _NEAR)) & (first + nth[:, None, None] < last)
+    used = (even | (jnp.abs(nth[:, None, None] - own) <= _NEAR)) & (first + nth[:, None, None] < count)
     gaps = ends[:, None] - ends[None]
     eye = np.eye(nodes, dtype=bool)[:, :, None, None]
     products = jnp.prod(jnp.where(eye | ~used, 1, gaps), axis=1)

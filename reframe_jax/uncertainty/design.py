@@ -113,9 +113,9 @@ def _spreads(
     made = _move(frame, last, speeds, step, number)
     made = made.at[..., :3, 3].add(-centre)
     rotation, position = kinematics.split_poses(made)
-    counted = jnp.ones(made.shape[:2], bool)
-    features = pose_features(rotation, position, jnp.full((1, number - 1), step), counted.T, None)
-    moments, fit = scale_moments(features.values, counted, None), refit.of_whole()
+    count = jnp.full(len(made), number, jnp.int32)
+    features = pose_features(rotation, position, jnp.full((1, number - 1), step), count)
+    moments, fit = scale_moments(features.values, jnp.ones(made.shape[:2], bool), count), refit.of_whole()
     # errors at each time scale as large as in the recording
     products, details = align_scales(moments, len(fit.details))
     details = jnp.where(fit.details > 0, details, 0)

@@ -106,10 +106,9 @@ def _window_excitations(window: Prepared, windows: Windows, _: jax.Array) -> Exc
     gram = jnp.einsum("nif,nfg,njg->nij", weights, products, weights) / jnp.square(width)[..., None]
     index, end = jnp.arange(window.poses.shape[1])[None], window.count[:, None]
     size = jnp.maximum(end // _ENDS, 1)
-    ends = [(window.counted & of).astype(window.poses.dtype) for of in (index >= end - size, index < size)]
     late, early = (
-        jnp.einsum("np,nfp->nf", of, window.features.values) / jnp.maximum(jnp.sum(of, axis=1), 1)[:, None]
-        for of in ends
+        jnp.einsum("np,nfp->nf", of.astype(mean_rotation.dtype), window.features.values) / size
+        for of in ((index >= end - size) & (index < end), index < size)
     )
     mean = jnp.einsum("nif,nf->ni", weights, late - early) / (end - size)
     reach = [jnp.einsum("nif,nmfc->nmic", weights, of) for of in window.features[1:3]]

@@ -144,7 +144,7 @@ def _run(
 
     def of_windows(given: tuple[Array, Array, Estimate]) -> Any:
         poses, steps, found = given
-        count = None if length is None else jnp.full(len(poses), length)
+        count = jnp.full(len(poses), poses.shape[1] if length is None else length, jnp.int32)
         with jax.default_matmul_precision("highest"):
             window = jax.lax.stop_gradient(prepare_windows(poses, steps, count, None, scales))
             used, _ = choose_scales(window.moments, window.noise, scales)
@@ -169,7 +169,7 @@ def refit_windows(window: Prepared, windows: Windows, scales: Array, parts: str)
     six blocks.
     """
     products, details = windows.moments.products[:, None], windows.moments.details[:, None]
-    number = jnp.sum(window.counted, axis=1)[:, None]
+    number = window.count[:, None]
     if parts != "whole":
         moments, of_parts = _moments_of_parts(window, parts, scales == 0)
         noise = jnp.repeat(window.noise, of_parts.shape[1], axis=0)
@@ -209,7 +209,7 @@ def _moments_of_parts(window: Prepared, parts: str, about_mean: Array) -> tuple[
         place, length = jnp.minimum(place, values.shape[2] - 1), end - first
     else:
         block = every * BLOCKS // count[:, None]
-        own = block[:, None] != jnp.arange(BLOCKS)[:, None]
+        own = (block[:, None] != jnp.arange(BLOCKS)[:, None]) & (block < BLOCKS)[:, None]
         place = jnp.broadcast_to(every, own.shape)
         length = jnp.broadcast_to(count[:, None], own.shape[:2])
 
@@ -218,10 +218,10 @@ def _moments_of_parts(window: Prepared, parts: str, about_mean: Array) -> tuple[
         taken = jax.vmap(jax.vmap(lambda value, i: value[..., i], (None, 0)))(values, place)
         return taken.reshape(-1, *taken.shape[2:])
 
-    kept = take(window.counted) & own.reshape(-1, own.shape[2])
+    own = own.reshape(-1, own.shape[2])
     section = None if window.section is None else take(window.section)
-    moments = scale_moments(take(values), kept, length.ravel(), section, about_mean)
-    return moments, jnp.sum(kept, axis=1).reshape(length.shape)
+    moments = scale_moments(take(values), own, length.ravel(), section, about_mean)
+    return moments, jnp.sum(own, axis=1).reshape(length.shape)
 
 
 def _fit_window(window: Windows, products: Array, details: Array, poses: Array) -> Refit:
