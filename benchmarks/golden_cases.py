@@ -11,7 +11,8 @@ origin lies within 0.3 m of the body's origin along each axis. Sums of sines dri
 
 In the group ``faults``, recordings of the motion ``measured`` with white noise have a fault: four poses that
 jump, of which the first or the last is one; two runs of two to seven poses that jump; a
-missing second; 30 % missing poses; or poses that are recorded twice, by a recorder faster than the tracker.
+missing second; 30 % missing poses; poses that are recorded twice, by a recorder faster than the tracker; or
+the times at which poses arrive, in bursts of five.
 
 White noise has a standard deviation of sigma in m for positions and sigma / 0.3 m in rad for orientations.
 Slow errors are sums of three sines of 0.1 to 1.2 Hz in random directions, half of their variance in the axes
@@ -195,7 +196,9 @@ def stops_specs() -> Iterator[Spec]:
 
 def faults_specs() -> Iterator[Spec]:
     moving = [label for label in CONSTRAINTS if label != "fixed"]
-    for fault, white, label in product(("jumps", "runs", "gap", "missing", "repeats"), SIGMAS[1:4], moving):
+    for fault, white, label in product(
+        ("jumps", "runs", "gap", "missing", "repeats", "bursts"), SIGMAS[1:4], moving
+    ):
         yield Spec("faults", label, "measured", 20, white, seed=40, fault=fault)
 
 
@@ -375,9 +378,12 @@ def _disturb(spec: Spec, rotation: np.ndarray, position: np.ndarray, rng: np.ran
 def _spoil(
     fault: str, poses: np.ndarray, times: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Let poses jump by 0.1 m and 0.5 rad, one by one or in runs; remove or repeat poses."""
+    """Let poses jump by 0.1 m and 0.5 rad, in runs or not; remove or repeat poses; spoil their times."""
     if fault == "repeats":
         return poses[np.arange(len(times)) // 2 * 2], times
+    if fault == "bursts":
+        number = np.arange(len(times))
+        return poses, times[np.minimum(number // 5 * 5 + 4, len(times) - 1)] + 1e-4 * (number % 5)
     if fault == "missing":
         kept = np.sort(rng.permutation(len(times))[: 7 * len(times) // 10])
         return poses[kept], times[kept]

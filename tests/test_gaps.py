@@ -31,10 +31,31 @@ def test_sections_start_after_a_gap(rng: np.random.Generator) -> None:
     broken = even.copy()
     broken[[29, 59]] = 0.5
     irregular = np.exp(rng.normal(size=POSES - 1))
-    found = np.asarray(sections_of(jnp.asarray([even, jitter, broken, irregular])))
-    assert np.all(found[:2] == 0)
-    np.testing.assert_array_equal(found[2], np.repeat([0, 1, 2], [30, 30, 40]))
-    assert found[3, -1] <= 3  # irregular times have long steps, which are no gaps
+    steps = np.stack([even, jitter, broken, irregular], axis=1)
+    times = np.pad(np.cumsum(steps, axis=0), ((1, 0), (0, 0)))
+    path = np.broadcast_to(times, (12, POSES, 4))
+    count = np.full(4, POSES)
+    found = np.asarray(sections_of(jnp.asarray(path), jnp.asarray(steps), jnp.asarray(count)))
+    assert np.all(found[:, :2] == 0)
+    np.testing.assert_array_equal(found[:, 2], np.repeat([0, 1, 2], [30, 30, 40]))
+    assert found[-1, 3] <= 3  # irregular times have long steps, which are no gaps
+    # a body that moves no further in these steps does not show a gap
+    slow = np.broadcast_to(0.05 * np.arange(POSES)[:, None], (12, POSES, 4))
+    assert not np.any(sections_of(jnp.asarray(slow), jnp.asarray(steps), jnp.asarray(count)))
+
+
+@pytest.mark.parametrize("size", [3, 10, 25])
+def test_poses_that_arrive_in_bursts_keep_their_name(size: int) -> None:
+    """Their times are wrong, so that neither velocities nor gaps may decide."""
+    recording = rf.load_recording(EXAMPLE)
+    number = np.arange(len(recording.poses))
+    last = np.minimum(number // size * size + size - 1, number[-1])
+    found = rf.identify(recording.poses, times=recording.times[last] + 1e-4 * (number % size))
+    true = rf.identify(recording.poses, times=recording.times)
+    assert found.name == true.name
+    assert found.probability > 0.9
+    np.testing.assert_allclose(found.linear.position, true.linear.position, atol=2e-3)
+    np.testing.assert_allclose(found.noise.position, true.noise.position, rtol=0.3)
 
 
 def test_a_constant_in_each_section_changes_no_moment(rng: np.random.Generator) -> None:

@@ -345,6 +345,14 @@ class TestDiscretization:
         np.testing.assert_allclose(found[..., 0], np.broadcast_to(2 * middle[0], (3, 2, 2, 20)), atol=1e-10)
         assert np.all(np.sum(weights != 0, axis=0) <= 5)
 
+    def test_short_steps_do_not_amplify_the_noise_of_a_long_one(self):
+        """Poses that arrive in bursts have velocities with the noise of a pose over a tiny step."""
+        dt = np.where(np.arange(20) % 10 == 9, 0.4, 1e-4)
+        weights = jax.jit(paths._derivative_weights)
+        weights = np.asarray(weights(jnp.asarray(dt[None]), jnp.asarray([False]), np.array([20])))
+        noise = np.array([1 / dt[9 + k] for k in range(-6, 7)])
+        assert np.all(np.abs(weights[:, 9, 0] * noise * dt[9] ** 2) < 1)
+
 
 class TestSlidingWindows:
     def test_view(self, rng):

@@ -73,7 +73,8 @@ def prepare_windows(
     constant = jax.lax.stop_gradient(constant_components(position, own))
     random = np.random.default_rng(0).uniform(-0.5, 0.5, (poses.shape[1], 3)).T[:, :, None]
     hidden = jnp.where(constant[:, None], unit * jnp.asarray(random, position.dtype), 0)
-    counted, window = own, (path.at[9:].add(hidden), steps.T, sections_of(steps).T * (scales < 0), count)
+    section = sections_of(path, steps.T, count) * (scales < 0)
+    counted, window = own, (path.at[9:].add(hidden), steps.T, section, count)
     if not single_steps:
         repeated = find_repeats(path, own) & (scales < 0)
         window = _leave_out(window, repeated)

@@ -12,12 +12,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.geometry.small import axial, cross, materialize, pick, times, total, trace, unit_matrix
+from reframe_jax.geometry.small import axial, cross, materialize, pick, times, total, trace
 
 Array = jax.Array
 _STENCIL = 7  # samples in the derivative of the twist
-_EVEN = 5  # longest over shortest step, above which high derivatives across them amplify noise
 _NEAR = 2  # nodes on either side in a derivative across such steps
+_GAIN = 100.0  # of the noise of poses in such a derivative times the squared step, above which it shrinks
+_EVEN = 5  # longest over shortest step, above which exact derivatives across them amplify noise
+_GAP_MOTION = 2.0  # RMS motion in gaps over that in other steps; less, if poses arrive in bursts
 _USUAL = 0.9  # fraction of the steps that are no gaps; a gap is _EVEN times longer than the longest of them
 
 
@@ -49,18 +51,6 @@ def twist_between(first: tuple[Array, Array], second: tuple[Array, Array]) -> tu
     shift = times(back, second[1] - first[1])
     across = cross(w, shift)
     return w, shift - across / 2 + factor * cross(w, across)
-
-
-def move_along(pose: tuple[Array, Array], w: Array, v: Array) -> tuple[Array, Array]:
-    """Move poses along the constant twist (w, v) of :func:`twist_between`."""
-    unit = jnp.broadcast_to(unit_matrix(w.dtype, w.ndim - 1), pose[0].shape)
-    columns = jnp.concatenate([unit, v[:, None]], axis=1)
-    turn = jnp.broadcast_to(w[:, None], columns.shape)
-    crossed = cross(turn, columns)
-    x = jnp.sqrt(total(w * w, 0) + jnp.finfo(w.dtype).tiny ** 0.25)
-    a, b, c = jnp.sin(x) / x, 2 * jnp.square(jnp.sin(x / 2) / x), (x - jnp.sin(x)) / x**3
-    moved = columns + jnp.stack([a, a, a, b]) * crossed + jnp.stack([b, b, b, c]) * cross(turn, crossed)
-    return times(pose[0], moved[:, :3]), pose[1] + times(pose[0], moved[:, 3])
 
 
 def step_twists(rotation: Array, position: Array) -> Array:
@@ -112,23 +102,30 @@ def twist_paths(rotation: Array, position: Array, steps: Array, count: Array) ->
     return path[:, 0], path[:, 1]
 
 
-def sections_of(steps: Array) -> Array:
-    """Number the sections between the gaps of a recording from 0, (1, K+1) or (N, K+1) int for every pose.
+def sections_of(path: Array, steps: Array, count: Array) -> Array:
+    """Number the sections between the gaps of recordings from 0, (K+1, N) int for every pose.
 
-    The twist within a gap is not known, so that its integral is known only from pose to pose of a section.
+    The twist within a gap is not known, so that its integral is known only from pose to pose of a section. If
+    the body moves no further in long steps than in others, poses arrived in bursts, and there are no gaps.
 
     Args:
-        steps: (1, K) or (N, K) s, time steps.
+        path: (12, K+1, N) rotations, and positions in m.
+        steps: (K, N) s, time steps.
+        count: (N,) number of poses; the others are padding.
     """
 
-    def count(_: None) -> Array:
-        at = int(_USUAL * steps.shape[1])
-        gaps = steps > _EVEN * jnp.sort(steps, axis=1)[:, at : at + 1]
-        return jnp.cumsum(gaps, axis=1, dtype=jnp.int32)
+    def number(_: None) -> Array:
+        own = jnp.arange(1, path.shape[1])[:, None] < count
+        gaps = own & (steps > _EVEN * jnp.sort(steps, axis=0)[int(_USUAL * len(steps))])
+        square = jnp.square(jnp.diff(path, axis=1))
+        moved = jnp.stack([jnp.sum(part, axis=0) for part in jnp.split(square, [9])])
+        across, usual = (jnp.sum(moved * of, axis=1) / jnp.sum(of, axis=0) for of in (gaps, own & ~gaps))
+        gaps = gaps & jnp.any(across > _GAP_MOTION**2 * usual, axis=0)
+        return jnp.cumsum(gaps, axis=0, dtype=jnp.int32)
 
-    even = jnp.all(_are_even(steps))  # then, there is no gap
-    after = jax.lax.cond(even, lambda _: jnp.zeros(steps.shape, jnp.int32), count, None)
-    return jnp.pad(after, ((0, 0), (1, 0)))
+    even = jnp.all(_are_even(steps.T))  # then, there is no gap
+    after = jax.lax.cond(even, lambda _: jnp.zeros(steps.shape, jnp.int32), number, None)
+    return jnp.pad(after, ((1, 0), (0, 0)))
 
 
 def _are_even(steps: Array) -> Array:
@@ -174,8 +171,8 @@ def _derivative_weights(steps: Array, even: Array, count: Array) -> Array:
     """Finite-difference weights (2 n - 1, K, N), 1/s, of the nodes from n - 1 before each one to n - 1 after.
 
     The nodes are the middles of the steps, of which ``count`` (N,) are not padding. Each derivative uses the
-    seven nearest, and is exact for polynomials of degree 6; in windows without ``even`` (N,) bool, it uses up
-    to two on either side.
+    seven nearest, and is exact for polynomials of degree 6. In windows without ``even`` (N,) bool, it uses up
+    to two on either side, and is smaller where short steps would amplify the noise of poses.
     """
     number = steps.shape[1]
     nodes = min(_STENCIL, number)
@@ -198,6 +195,8 @@ def _derivative_weights(steps: Array, even: Array, count: Array) -> Array:
     mine = jnp.sum(jnp.where(here, products, 0), axis=0)
     others = jnp.where(here | ~used, 0, mine / (products * jnp.where(gap == 0, 1, gap)))
     weights = jnp.where(here, -jnp.sum(others, axis=0), others)
+    gain = jnp.sum(jnp.square(weights / spans), axis=0) * jnp.square(jnp.square(steps.T) / _GAIN)
+    weights = weights / jnp.where(even, 1, jnp.maximum(gain, 1))
     offset = jnp.arange(1 - nodes, nodes)[:, None, None, None]
     at = first + nth[:, None, None] - each[:, None]
     return jnp.sum(jnp.where(at == offset, weights, 0), axis=1)
