@@ -10,9 +10,9 @@ origin lies within 0.3 m of the body's origin along each axis. Sums of sines dri
 - ``stops``: the same path in three moves, with rests of 0.83 s between them.
 
 In the group ``faults``, recordings of the motion ``measured`` with white noise have a fault: four poses that
-jump, of which the first or the last is one; two runs of two to seven poses that jump; a
-missing second; 30 % missing poses; poses that are recorded twice, by a recorder faster than the tracker; or
-the times at which poses arrive, in bursts of five.
+jump, of which the first or the last is one; two runs of two to seven poses that jump; a missing second; 30 %
+missing poses; poses that are recorded twice, by a recorder faster than the tracker; or the times at which
+poses arrive, in bursts of five.
 
 White noise has a standard deviation of sigma in m for positions and sigma / 0.3 m in rad for orientations.
 Slow errors are sums of three sines of 0.1 to 1.2 Hz in random directions, half of their variance in the axes

@@ -30,8 +30,7 @@ class Prepared(NamedTuple):
     # ---- the rest is without outliers and repeated poses
     section: Array | None  # (N, P) int, sections between gaps; None for chosen scales
     steps: Array  # (N, K) durations of the steps, s
-    # (N,) number of poses
-    count: Array  # type: ignore[assignment]  # tuple.count
+    count: Array  # type: ignore[assignment]  # (N,) number of poses; the name hides tuple.count
     noise: Array  # (N, 2) m and rad, standard deviation of the white noise of every component
     features: Features  # of the poses; see :mod:`reframe_jax.model`
     moments: Moments  # second moments of the features at all scales
@@ -73,6 +72,7 @@ def prepare_windows(
     constant = jax.lax.stop_gradient(constant_components(position, own))
     random = np.random.default_rng(0).uniform(-0.5, 0.5, (poses.shape[1], 3)).T[:, :, None]
     hidden = jnp.where(constant[:, None], unit * jnp.asarray(random, position.dtype), 0)
+    # sections are those of the recording: outliers that are left out make no gap
     section = sections_of(path, steps.T, count) * (scales < 0)
     counted, window = own, (path.at[9:].add(hidden), steps.T, section, count)
     if not single_steps:

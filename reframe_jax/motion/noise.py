@@ -71,7 +71,7 @@ def estimate_noise(
     median = jnp.asarray(_MEDIAN_LENGTHS, position.dtype)[jnp.sum(changes, axis=1)]
     path = jnp.stack([position, jnp.pad(jnp.cumsum(turns, axis=1), ((0, 0), (1, 0), (0, 0)))])
     rounding = 4 * float(jnp.finfo(path.dtype).eps) * jnp.max(jnp.abs(path), axis=(1, 2))
-    # differences that contain a pose to leave out are NaN
+    # differences that contain a pose that is not counted, such as padding, are NaN
     path = jnp.where(counted, jnp.where(changes[:, :, None], path, 0), jnp.nan)
     sizes = []
     for order in [order for order in _ORDERS if order < len(counted)]:

@@ -87,8 +87,8 @@ def find_outliers(path: Array, steps: Array, count: Array, unit: Array, wanted: 
         at = jnp.take(order, k * part + jnp.arange(part, dtype=jnp.int32), mode="clip")
         columns = partial(jnp.take, indices=at, axis=-1, mode="clip")
         path = jnp.concatenate([columns(measured), columns(times)[None]])
-        measured_ones = _measured(path, columns(noise), columns(count))
-        return found.at[:, at].set(columns(own & jumps) & ~measured_ones)
+        good = _measured(path, columns(noise), columns(count))
+        return found.at[:, at].set(columns(own & jumps) & ~good)
 
     number = jnp.sum(jumps, dtype=jnp.int32)
     outliers = lax.fori_loop(0, (number + part - 1) // part, search, jnp.zeros_like(own))
