@@ -7,7 +7,8 @@ origin lies within 0.3 m of the body's origin along each axis. Sums of sines dri
 - ``slow``: one sine of 0.2 to 0.6 rad/s an axis, amplitude 0.35 to 0.85 rad/s and a quarter of that in m/s;
 - ``paper``: the velocities of the paper's section 5.1;
 - ``measured``: three sines of 0.1 to 0.8 Hz an axis, rms 0.5 rad and 50 to 100 mm;
-- ``stops``: the same path in three moves, with rests of 0.83 s between them.
+- ``stops``: the same path in three moves, with rests of 0.83 s between them;
+- ``small``, ``small turns``, ``small shifts``: a tenth of all, of the rotations, or of the translations.
 
 In the group ``faults``, recordings of the motion ``measured`` with white noise have a fault: four poses that
 jump, of which the first or the last is one; two runs of two to seven poses that jump; a missing second; 30 %
@@ -194,6 +195,12 @@ def stops_specs() -> Iterator[Spec]:
             yield Spec("stops", label, "stops", 20, white, slow, turn, 30)
 
 
+def small_specs() -> Iterator[Spec]:
+    moving = [label for label in CONSTRAINTS if label != "fixed"]
+    for motion, white, label in product(("small", "small turns", "small shifts"), SIGMAS[1:3], moving):
+        yield Spec("small", label, motion, 20, white, seed=80)
+
+
 def faults_specs() -> Iterator[Spec]:
     moving = [label for label in CONSTRAINTS if label != "fixed"]
     for fault, white, label in product(
@@ -216,6 +223,7 @@ PLANS = {
     "correlated": correlated_specs,
     "frames": frames_specs,
     "stops": stops_specs,
+    "small": small_specs,
     "faults": faults_specs,
     "nothing": nothing_specs,
     "paper": paper_specs,
@@ -232,6 +240,7 @@ _PAPER[:3, :, 0] = (
     np.pi / 2 * np.array([1, 1, 1, 1, 1, 0]),
 )
 _PAPER[:3, 0, 1] = 0.5, 2, 0
+_PARTS = {"small": (0.1, 0.1), "small turns": (0.1, 1), "small shifts": (1, 0.1)}
 _STOPS = 0.6  # rests per second
 _FILTER = 0.06  # s, time constant of correlated errors
 
@@ -310,7 +319,9 @@ def _draw_sines(spec: Spec, rng: np.random.Generator) -> np.ndarray:
         amplitude, rate = rng.uniform(0.3, 1, (6, 3)), 2 * np.pi * rng.uniform(0.1, 0.8, (6, 3))
         sines = np.array([amplitude, rate, phase, stops])
         rms = np.std(_integrate(_velocity(sines, _TIMES).T), axis=0)
-        sines[0] *= (np.concatenate([np.full(3, 0.5), rng.uniform(0.05, 0.1, 3)]) / rms)[:, None]
+        turn, shift = _PARTS.get(spec.motion, (1, 1))
+        size = np.concatenate([np.full(3, turn * 0.5), shift * rng.uniform(0.05, 0.1, 3)])
+        sines[0] *= (size / rms)[:, None]
     entry = CONSTRAINTS[spec.label]
     if spec.label == "screw":
         pitch = rng.choice([-1, 1]) * rng.uniform(0.03, 0.1)  # m/rad

@@ -22,6 +22,8 @@ class Evidence(NamedTuple):
         turn, turn_spread: median free rotation, rad, and the standard deviation of its log.
         lever, lever_spread: median ratio of free translation to free rotation, m/rad, and the standard
             deviation of its log.
+        unusual, unusual_spread: fraction of motions that are much smaller or larger, and their standard
+            deviations relative to those above; without them, a free motion of 0.05 rad counts as an error.
         free_above: slope by which the log density of free amplitudes falls above the size of the motion.
         scale_error: largest scale error of a tracker, as a fraction of the translation that the only free
             rotation causes.
@@ -49,6 +51,8 @@ class Evidence(NamedTuple):
     turn_spread: float = 0.25
     lever: float = 0.2
     lever_spread: float = 0.5
+    unusual: float = 0.01
+    unusual_spread: float = 6.0
     free_above: float = 3.0
     scale_error: float = 0.12
     amplitude_variance: float = 0.03
@@ -56,20 +60,10 @@ class Evidence(NamedTuple):
     repeatable_part: float = 0.5
     repeatable_gain: float = 3.0
     per_parameter: float = 1.0
-    nothing_held: float = 0.5
+    nothing_held: float = 1.0
     screw_worth: float = 6.0
     pitch_cost: float = log(13.8 * 7)
 
 
-class Scales(NamedTuple):
-    """Constants of the choice of scales.
-
-    Attributes:
-        above_noise: a scale is used if block differences of positions or rotations exceed so many noises.
-    """
-
-    above_noise: float = 6.0
-
-
 EVIDENCE = Evidence()
-SCALES = Scales()
+ABOVE_NOISE = 6.0  # a scale is used if block differences of positions or rotations exceed so many noises

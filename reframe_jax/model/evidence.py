@@ -48,15 +48,19 @@ _RIDGE = 1e-6  # fraction of the trace that regularizes the regression of transl
 
 # ---- grids of the logarithms of sizes
 _ERRORS = 1.4 * np.arange(-2, 6)  # log of slow errors over their median
-_TURNS = 0.5 * np.arange(-2, 3)  # log of free rotations over their median
-_SHIFTS = 1.0 * np.arange(-3, 4)  # log of free translations over their median
+_TURNS = np.array([-4, -2.5, -1, -0.5, 0, 0.5, 1, 2.5])  # log of free rotations over their median
+_SHIFTS = np.array([-6, -4.5, -3, -2, -1, 0, 1, 2, 3.5])  # log of free translations over their median
 
 
 def _motions() -> np.ndarray:
     """Prior probability of the sizes of free rotations and translations, (turns, shifts)."""
-    turns = np.exp(-0.5 * (_TURNS / C.turn_spread) ** 2)
-    shifts = np.exp(-0.5 * ((_SHIFTS[None] - _TURNS[:, None]) / C.lever_spread) ** 2)
-    return (turns / turns.sum())[:, None] * shifts / shifts.sum(axis=1, keepdims=True)
+    prior = np.zeros((len(_TURNS), len(_SHIFTS)))
+    for fraction, spread in ((1 - C.unusual, 1.0), (C.unusual, C.unusual_spread)):
+        turns = np.exp(-0.5 * (_TURNS / (spread * C.turn_spread)) ** 2) * np.gradient(_TURNS)
+        levers = np.exp(-0.5 * ((_SHIFTS - _TURNS[:, None]) / (spread * C.lever_spread)) ** 2)
+        shifts = levers * np.gradient(_SHIFTS)
+        prior += fraction * (turns / turns.sum())[:, None] * shifts / shifts.sum(axis=1, keepdims=True)
+    return prior
 
 
 def _slow_errors() -> np.ndarray:

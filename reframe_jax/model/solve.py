@@ -15,7 +15,7 @@ import numpy as np
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.geometry.small import materialize, pick, sandwich, times, total
 from reframe_jax.model import features as z
-from reframe_jax.model.constants import SCALES
+from reframe_jax.model.constants import ABOVE_NOISE
 from reframe_jax.model.evaluation import WindowStatistics, evaluate_entries, window_statistics
 from reframe_jax.model.evidence import Amplitudes, compare
 from reframe_jax.model.features import Features
@@ -79,7 +79,7 @@ def choose_scales(moments: Moments, noise: Array, scales: Array) -> tuple[Moment
     keep = jnp.ones_like(moments.details, bool)
     for group, rows in enumerate((z.POSITION, z.TURN_BODY)):
         size = jnp.trace(moments.products[:, :, rows, rows], axis1=2, axis2=3)
-        level = 3 * jnp.square(SCALES.above_noise * noise[:, group, None]) * moments.white
+        level = 3 * jnp.square(ABOVE_NOISE * noise[:, group, None]) * moments.white
         above = (size > level) & (moments.details > 0)
         # a group (position or rotation) that never exceeds the noise selects no scale
         first = jnp.where(jnp.any(above, axis=1), jnp.argmax(above, axis=1), 0)
