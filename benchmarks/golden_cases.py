@@ -240,6 +240,7 @@ _PAPER[:3, :, 0] = (
     np.pi / 2 * np.array([1, 1, 1, 1, 1, 0]),
 )
 _PAPER[:3, 0, 1] = 0.5, 2, 0
+# fractions of the rotations and the translations of the motion ``measured``
 _PARTS = {"small": (0.1, 0.1), "small turns": (0.1, 1), "small shifts": (1, 0.1)}
 _STOPS = 0.6  # rests per second
 _FILTER = 0.06  # s, time constant of correlated errors

@@ -54,6 +54,7 @@ _SHIFTS = np.array([-6, -4.5, -3, -2, -1, 0, 1, 2, 3.5])  # log of free translat
 
 def _motions() -> np.ndarray:
     """Prior probability of the sizes of free rotations and translations, (turns, shifts)."""
+    # the usual sizes and the unusual ones; a node has the weight of the interval around it
     prior = np.zeros((len(_TURNS), len(_SHIFTS)))
     for fraction, spread in ((1 - C.unusual, 1.0), (C.unusual, C.unusual_spread)):
         turns = np.exp(-0.5 * (_TURNS / (spread * C.turn_spread)) ** 2) * np.gradient(_TURNS)
