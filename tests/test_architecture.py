@@ -104,7 +104,7 @@ def test_the_core_imports_no_extra_and_no_simulator() -> None:
     code = "import sys, reframe_jax; reframe_jax.identify; print(*sorted(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
-    heavy = {"mujoco", "pandas", "pyarrow", "matplotlib", "viser", "shtab", "dask", "PIL"}
+    heavy = {"mujoco", "pandas", "pyarrow", "matplotlib", "viser", "dask", "PIL"}
     assert "jax" in loaded
     assert not loaded & heavy
 

@@ -1,11 +1,9 @@
-"""Files for other programs, tables of many recordings, and completion, from the command line."""
+"""Files for other programs, and tables of many recordings, from the command line."""
 
 import argparse
-import builtins
 import csv
 import json
 import re
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -198,38 +196,7 @@ def test_files_that_cannot_be_written_are_told(
     assert f"{out}: not written: no recording has a result." in capsys.readouterr().err
 
 
-# completion
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
-def test_completion_knows_every_command_and_option(shell: str, tmp_path: Path, capsys: Captured) -> None:
-    pytest.importorskip("shtab")
-    assert program.main(["completion", shell]) == 0
-    script = capsys.readouterr().out
-    for word in ("identify", "simulate", "demonstrate", "reproduce", "constraints", "completion"):
-        assert word in script
-    for option in ("task-frame", "discretization", "imperfections"):
-        assert option in script
-    if shell == "bash":
-        path = tmp_path / "complete"
-        path.write_text(script)
-        words = "COMP_WORDS=(reframe-jax ide); COMP_CWORD=1"
-        ask = f"source {path}; {words}; _shtab_reframe_jax; echo ${{COMPREPLY[@]}}"
-        done = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
-        assert done.stdout.split() == ["identify"]
-
-
-def test_completion_names_what_is_missing(capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = builtins.__import__
-
-    def without(name: str, *args: Any, **kwargs: Any) -> Any:
-        if name == "shtab":
-            raise ImportError(name)
-        return real(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    assert program.main(["completion", "bash"]) == 1
-    assert "pip install 'reframe-jax[completion]'" in capsys.readouterr().err
+# parser
 
 
 def test_the_full_parser_reads_what_the_lean_one_does() -> None:

@@ -102,7 +102,6 @@ def test_the_wheel_holds_the_package_and_nothing_else(built: Path) -> None:
         "plot",
         "parquet",
         "pandas",
-        "completion",
         "viewer",
         "distributed",
         "benchmark",

@@ -76,7 +76,6 @@ def test_wrong_options_are_refused_before_anything_is_read(
 ) -> None:
     for options, message in (
         (["--plot", str(tmp_path)], "is a directory"),
-        (["--reach", "no"], "expected a positive number"),
         (["--unit", "mile"], "invalid choice"),
         (["no/missing.csv", "--plot", str(tmp_path / "a.png")], "recordings with different names"),
         (["--plot", str(tmp_path / "a.txt")], "must end in .png"),

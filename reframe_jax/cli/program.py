@@ -26,7 +26,6 @@ COMMANDS = {
     "reproduce": "demonstrate, identify and reproduce a task",
     "view": "show a recording and its constraint in the browser",
     "constraints": "list the named constraints",
-    "completion": "print a script that completes the command line in a shell",
 }
 """Commands: each is a module of this package with a docstring for ``--help``, ``add_options`` and ``run``."""
 

@@ -21,8 +21,6 @@ from reframe_jax.segmentation.entry import segment
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Add the files and the options of segmentation."""
-    reach = "half the width of the cube about the body in which origins are searched, m (%(default)s)"
-    command.add_argument("--reach", type=arguments.metres, default=1.0, metavar="M", help=reach)
     add_outputs(command)
     add_reading(command)
     arguments.add_cache(command)
@@ -41,7 +39,7 @@ def _segment_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
     found, problem = None, None
     try:
         recording = read_recording(path, options)
-        found = segment(recording.poses, times=recording.times, reach=options.reach)
+        found = segment(recording.poses, times=recording.times)
         if options.json != "-":
             print_result(segments_to_table(found, label=str(path)), end="\n\n")
         if options.plot is not None:

@@ -15,7 +15,7 @@ from reframe_jax.motion.noise import constant_components, estimate_noise, unit_o
 from reframe_jax.motion.outliers import find_outliers, find_repeats
 from reframe_jax.motion.paths import sections_of
 
-_REACH = 2.0  # half the width of the cube of origins: 2 m, or twice the extent of the motion if that is more
+REACH = 2.0  # half the width of the cube of origins: 2 m, or twice the extent of the motion if that is more
 
 Array = jax.Array
 
@@ -93,7 +93,7 @@ def prepare_windows(
     features = pose_features(rotation, position, gaps.T, count)
     sections = None if single_steps else section.T
     moments = scale_moments(features.values, own.T, count, sections, scales == 0)
-    box = jnp.maximum(_REACH, _REACH * distance)
+    box = jnp.maximum(REACH, REACH * distance)
     if bounds is not None:
         box = jnp.where(jnp.isnan(bounds), box, jnp.asarray(bounds, box.dtype))
     return Prepared(status, centre, poses, counted.T, sections, gaps.T, count, noise, features, moments, box)

@@ -10,9 +10,8 @@ from math import comb
 import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import rotation_vectors
+from reframe_jax.identification.preparation import REACH
 from reframe_jax.segmentation.constants import SEGMENTS as C
-
-GROUND_TYPES = [2, 3]  # GG and BG: origins in the ground
 
 _CHUNK = 20_000  # poses per chunk, which bounds the memory
 _FEWEST = 6  # smallest number of independent values in a recording
@@ -26,7 +25,7 @@ class Cells:
 
     rotation: np.ndarray  # (P, 3, 3) rotations of the body at all poses
     position: np.ndarray  # (P, 3) m, its positions
-    reach: float  # m, half the width of the cube in which origins are searched
+    reach: float  # m, half the width of the cube in which origins are searched, about that of each body
     # (4, N, 12) features of the linear types BB, GB, GG, BG. The coordinate of an origin x along a direction
     # n is the scalar product of a feature with the matrix n (1, x), row by row
     linear: np.ndarray
@@ -65,15 +64,29 @@ class Cells:
         return np.maximum(part * self.motion, 3 * self.floor)
 
 
-def make_cells(rotation: np.ndarray, position: np.ndarray, step: float, reach: float) -> Cells:
-    """Divide a recording, with a time between two poses in s, into :class:`Cells`, still without chance."""
+def make_cells(poses: np.ndarray, step: float) -> Cells:
+    """Divide poses (N, 4, 4), with a time step in s, into :class:`Cells`, still without chance."""
+    rotation, (position, distance) = poses[:, :3, :3], _least_moving_point(poses)
+    reach = REACH * max(1.0, float(np.linalg.norm(position, axis=1).max()))
     noise = np.array([_white_noise(position), _white_noise(np.cumsum(_turns(rotation), axis=0))])
     time, motion = _motion_scale(rotation, position, noise, step)
     samples = max(1, min(round(time / C.cells / step), len(position) // 8))
     linear, angular = _average_features(rotation, position, samples)
-    floor = np.hypot((C.floor_position, C.floor_rotation), noise / np.sqrt(samples))
+    errors = np.hypot(C.floor_position, C.floor_rotation * distance), C.floor_rotation
+    floor = np.hypot(errors, noise / np.sqrt(samples))
     sizes = samples, samples * step, time, motion, floor
     return Cells(rotation, position, reach, linear, angular, *sizes, np.arange(linear.shape[1] + 1.0))
+
+
+def _least_moving_point(poses: np.ndarray) -> tuple[np.ndarray, float]:
+    """Find the point of the body that moves least: its path (N, 3), m, about its mean, and its distance, m.
+
+    With this point as the origin of the body, segments hardly depend on the choice of the body frame.
+    """
+    rotation, position = (each - each.mean(axis=0) for each in (poses[:, :3, :3], poses[:, :3, 3]))
+    square = np.einsum("kia,kib->ab", rotation, rotation) + len(poses) * C.turned**2 * np.eye(3)
+    point = -np.linalg.solve(square, np.einsum("kia,ki->a", rotation, position))
+    return position + rotation @ point, float(np.linalg.norm(point))
 
 
 def _average_features(

@@ -10,9 +10,12 @@ from typing import NamedTuple
 class SegmentConstants(NamedTuple):
     """Constants of segmentation."""
 
-    # m and rad, residuals below this size count as zero: the usual slow errors of a robot or a tracker
+    # m and rad, residuals below this size count as zero: the usual slow errors of a robot or a tracker, of
+    # positions at its own origin and of rotations
     floor_position: float = 3e-4
     floor_rotation: float = 1.5e-3
+    # rad, RMS rotation with which the origin of the body moves half way to the point that moves least
+    turned: float = 0.1
     lever: float = 0.2  # m, distance that converts rotations to translations
     # time of one independent value, as a fraction of the lag at which the speed of displacements has halved;
     # 1 / (2 B) for motion of bandwidth B

@@ -20,6 +20,7 @@ from reframe_jax.segmentation.bank import best_scores, fit_models, misfit
 from reframe_jax.segmentation.cells import Cells, make_cells, path_features
 from reframe_jax.segmentation.chance import with_chance
 from reframe_jax.segmentation.constants import SEGMENTS as C
+from reframe_jax.segmentation.outliers import outliers_of
 from reframe_jax.segmentation.pieces import Piece, find_pieces, join_pieces, label_pieces
 from reframe_jax.segmentation.results import Boundary, Segment, Segmentation
 
@@ -27,43 +28,38 @@ _INTERVAL = 0.025, 0.975  # quantiles of the interval of a border
 _FEWEST = 8  # fewest poses of a segment that can be identified
 
 
-def segment(
-    poses: ArrayLike, *, times: ArrayLike | None = None, dt: ArrayLike | None = None, reach: float = 1.0
-) -> Segmentation:
+def segment(poses: ArrayLike, *, times: ArrayLike | None = None, dt: ArrayLike | None = None) -> Segmentation:
     """Find where the constraint of a recording changes, and identify each part.
 
     A constraint holds some coordinates of the motion, for example the height of the tip of a tool above a
     plane. Models of held coordinates are fitted to windows of many lengths. A model gains evidence wherever
     its coordinates move much less than the body, and pays a price for its parameters. The result is the
-    sequence of models with the largest evidence, fitted again to its segments. A change of speed or direction
-    of a free motion does not end a segment. Neither does a pause within one constraint. A pause between
-    different constraints, at the start or at the end is a separate segment, named "Still".
+    sequence of models with the largest evidence, fitted again to its segments. Outliers have no effect. A
+    change of speed or direction of a free motion does not end a segment. Neither does a pause within one
+    constraint. A pause between different constraints, at the start or at the end is a separate segment, named
+    "Still".
 
-    The function computes in float64 with NumPy. Boundaries are integers, so the function is not
-    differentiable. To differentiate a frame, identify the poses of its segment with
-    :func:`reframe_jax.identify`.
+    Boundaries are integers, so the function is not differentiable. To differentiate a frame, identify the
+    poses of its segment with :func:`reframe_jax.identify`.
 
     Args:
         poses: (N, 4, 4) poses of the moving body {b} in the ground {g}, m; N >= 16.
         times: (N,) sample times in s, increasing. Give either ``times`` or ``dt``.
         dt: time between two poses, s, a scalar or (N-1,).
-        reach: half the width of the cube, around the recorded positions, in which origins are searched, m.
 
     Returns:
         The segments, in order of time, and the boundaries between them.
 
     Raises:
-        ValueError: under ``jit``, ``vmap`` or ``grad``; for another shape or option; for poses that are not
+        ValueError: under ``jit``, ``vmap`` or ``grad``; for another shape; for poses that are not
             rigid, not finite or all equal; or for times that do not increase.
     """
     if traced((poses, times, dt)):
         raise ValueError("segment needs poses, not tracers: call it outside jit, vmap and grad.")
     poses, times = _checked(poses, times, dt)
-    if not 0 < reach < np.inf:
-        raise ValueError(f"reach must be a positive length in m, not {reach}.")
-    parts, boundaries, motion_time = find_segments(poses, times, reach)
+    parts, boundaries, motion_time = find_segments(poses, times)
     segments = tuple(
-        Segment(a, b, label, None if label < 0 else _identify(poses[a:b], times[a:b], reach))
+        Segment(a, b, label, None if label < 0 else _identify(poses[a:b], times[a:b]))
         for a, b, label in parts
     )
     return Segmentation(segments, boundaries, times, motion_time)
@@ -74,7 +70,6 @@ def segment_many(
     *,
     times: Sequence[ArrayLike] | jax.Array | None = None,
     dt: float | Sequence[ArrayLike] | jax.Array | None = None,
-    reach: float = 1.0,
 ) -> list[Segmentation]:
     """Segment several recordings with :func:`segment`, on all processor cores.
 
@@ -82,7 +77,6 @@ def segment_many(
         recordings: poses of {b} in {g}, m: an array (R, N, 4, 4), or R arrays (N, 4, 4) of any lengths.
         times: R arrays (N,) of sample times, s. Give either ``times`` or ``dt``.
         dt: time between two poses, s: one number for all recordings, or R values.
-        reach: as in :func:`segment`.
 
     Returns:
         The segmentations, in the same order.
@@ -100,7 +94,7 @@ def segment_many(
 
     def segment_one(index: int) -> Segmentation:
         try:
-            return segment(recordings[index], times=each_times[index], dt=each_dt[index], reach=reach)
+            return segment(recordings[index], times=each_times[index], dt=each_dt[index])
         except ValueError as error:
             raise ValueError(f"Recording {index}: {error}") from error
 
@@ -110,27 +104,30 @@ def segment_many(
 
 
 def find_segments(
-    poses: np.ndarray, times: np.ndarray, reach: float
+    poses: np.ndarray, times: np.ndarray
 ) -> tuple[list[tuple[int, int, int]], tuple[Boundary, ...], float]:
     """Divide a recording of checked poses, without identification of the segments.
 
     The result is the segments as (first pose, pose after the last, label), the boundaries, and the motion
     time, s.
     """
-    rotation, position = poses[:, :3, :3], poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
-    cells = with_chance(make_cells(rotation, position, float(np.median(np.diff(times))), reach))
+    kept, number = np.flatnonzero(~outliers_of(poses, times)), len(poses)
+    cells = with_chance(make_cells(poses[kept], float(np.median(np.diff(times)))))
     pieces = join_pieces(cells, find_pieces(cells))
     places = [place_border(cells, *pair) for pair in pairwise(pieces)]
     boundaries = tuple(
-        Boundary(index, float(times[index]), probability, earliest, latest)
+        Boundary(
+            int(kept[index]), float(times[kept[index]]), probability, int(kept[earliest]), int(kept[latest])
+        )
         for (index, earliest, latest), probability in zip(places, _probabilities(cells, pieces), strict=True)
     )
-    spans = list(pairwise([0, *(place[0] for place in places), len(poses)]))
+    spans = pairwise([0, *(place[0] for place in places), len(kept)])
     inner = []
     for piece, (start, stop) in zip(pieces, spans, strict=True):  # whole cells, but at least one
         first = min(-(-start // cells.samples), piece.stop - 1)
         last = max(min(stop // cells.samples, piece.stop), first + 1)
         inner.append(piece._replace(start=first, stop=last))
+    spans = pairwise([0, *(boundary.index for boundary in boundaries), number])  # with the outliers
     parts = [(*span, label) for span, label in zip(spans, label_pieces(cells, inner), strict=True)]
     return parts, boundaries, cells.motion_time
 
@@ -181,12 +178,12 @@ def _probabilities(cells: Cells, pieces: list[Piece]) -> list[float]:
     return list((1 / (1 + np.exp(-gains))).tolist())
 
 
-def _identify(poses: np.ndarray, times: np.ndarray, reach: float) -> Identification | None:
+def _identify(poses: np.ndarray, times: np.ndarray) -> Identification | None:
     """Identify a segment; None if the segment is too short, has no motion, or has no result."""
     if len(poses) < _FEWEST:
         return None
     try:
-        return identify_unchecked(poses, times, None, Options(bounds=reach))
+        return identify_unchecked(poses, times, None, Options())
     except ValueError:
         return None
 

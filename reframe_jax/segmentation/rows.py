@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from reframe_jax.segmentation.cells import GROUND_TYPES, Cells
+from reframe_jax.segmentation.cells import Cells
 from reframe_jax.segmentation.constants import SEGMENTS as C
 
 _STEPS = 3, 3, 4  # steps of the fits of 3, 2 and 1 held translations; each fit starts at the previous one
@@ -36,10 +36,8 @@ def fit_spans(cells: Cells, spans: np.ndarray) -> Fits:
     linear[..., [0, 4, 8], [0, 4, 8]] += floor**2
     variance, axes = np.linalg.eigh(angular + floor_turn**2 * np.eye(3))
     turn = np.sqrt(variance)
-    middle = np.zeros((number, 4, 3))
-    middle[:, GROUND_TYPES] = linear_mean[:, 1, None, ::4]
     form = np.ascontiguousarray(linear.reshape(-1, 144).T).reshape(3, 4, 3, 4, -1)
-    weights, size = _least_motion_rows(form, middle.reshape(-1, 3).T, cells.reach)
+    weights, size = _least_motion_rows(form, cells.reach)
     largest = np.sqrt(np.maximum(turn[:, :, 2] ** 2 - floor_turn**2, 0)).min(axis=1)
     return Fits(
         weights=weights.reshape(3, 3, 12, number, 4).transpose(3, 0, 4, 1, 2),
@@ -69,23 +67,21 @@ def _moments(features: np.ndarray, spans: np.ndarray) -> tuple[np.ndarray, np.nd
     return mean, covariance
 
 
-def _least_motion_rows(form: np.ndarray, middle: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+def _least_motion_rows(form: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """Fit rows (3, 3, 12, P) for 1, 2 and 3 held translations, with RMS (3, 3, P).
 
     The moments ``form`` are (3, 4, 3, 4, P): the problems come last, so that every operation runs along them.
-    Origins are at most ``reach``, m, from ``middle`` (3, P) along each axis.
+    Origins are at most ``reach``, m, from that of their body along each axis.
     """
     total = np.einsum("iaibp->abp", form)
     ridge = 1e-9 + 1e-4 * np.einsum("aap->p", total[1:, 1:]) / 3
-    away = total[1:, 0] + np.einsum("abp,bp->ap", total[1:, 1:], middle)
-    least = middle - _solve(total[1:, 1:] + ridge * np.eye(3)[:, :, None], away)
-    box = middle - reach, middle + reach
-    x = np.clip(least, *box)
+    least = -_solve(total[1:, 1:] + ridge * np.eye(3)[:, :, None], total[1:, 0])
+    x = np.clip(least, -reach, reach)
     covariance = np.moveaxis(_covariance(form, x)[1], -1, 0)
     axes = np.moveaxis(np.linalg.eigh(covariance)[1], 0, -1)  # columns, in ascending order of variance
     found = []
     for held, steps in zip((3, 2, 1), _STEPS, strict=True):
-        x, axes, squares = _descend(form, x, axes, held, steps, box)
+        x, axes, squares = _descend(form, x, axes, held, steps, reach)
         found.append((x, axes, squares))
     weights, size = [], []
     for held, (x, axes, squares) in enumerate(reversed(found), 1):
@@ -113,12 +109,12 @@ def _solve(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 
 def _descend(
-    form: np.ndarray, x: np.ndarray, axes: np.ndarray, held: int, steps: int, box: tuple[np.ndarray, ...]
+    form: np.ndarray, x: np.ndarray, axes: np.ndarray, held: int, steps: int, reach: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Minimize sum_{i < held} log w_i' G w_i with w_i = v_i (1, x), by Levenberg's steps.
 
     G is the form. The steps start at origins x (3, P), m, and at directions v, the columns of axes (3, 3, P).
-    They keep the origins in the box, two corners (3, P). The result is the origins, the axes, and w' G w of
+    They keep the origins within ``reach``, m. The result is the origins, the axes, and w' G w of
     all rows, (3, P).
     """
 
@@ -136,7 +132,7 @@ def _descend(
         turn /= np.maximum(np.linalg.norm(turn, axis=0) / 0.25, 1)
         across = np.cross(turn, axes, axis=0)
         turned = axes + 2 * (across + np.cross(turn, across, axis=0)) / (1 + np.sum(turn**2, axis=0))
-        there = evaluate(np.clip(x - step[3:], *box), turned)
+        there = evaluate(np.clip(x - step[3:], -reach, reach), turned)
         lower = there[-1] < value
         here = tuple(np.where(lower, b, a) for a, b in zip(here, there, strict=True))
         damping = np.clip(np.where(lower, damping / 10, damping * 30), 1e-8, 1e3)

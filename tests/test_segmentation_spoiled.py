@@ -1,0 +1,60 @@
+"""Segments do not depend on the choice of the body frame, or on poses that are outliers."""
+
+import numpy as np
+import pytest
+
+import reframe_jax as rf
+from benchmarks.segmentation_cases import NAMES, Sequence, move_through
+from reframe_jax.segmentation.outliers import outliers_of
+
+LABELS = ["hinge", "free", "ball", "slide"]
+SIZES = {"encoder": {"white": 1e-5}, "markers": {"white": 3e-4}, "soft": {"white": 1e-6, "soft": 5e-4}}
+
+
+def sequence(errors: str, motion: str = "sines", labels: list[str] = LABELS) -> Sequence:
+    rng = np.random.default_rng(4)
+    return move_through(labels, np.full(len(labels), 6.0), SIZES[errors], rng, 50, motion)
+
+
+def assert_right(made: Sequence, poses: np.ndarray) -> None:
+    """Every constraint is one segment with its name, and the changes are found."""
+    found = rf.segment(poses, times=made.times)
+    assert len(found) == len(made.labels)
+    assert all(
+        any(name in s.name for name in NAMES[t]) for s, t in zip(found.segments, made.labels, strict=True)
+    )
+    assert np.all(np.abs(made.changes - [boundary.time for boundary in found.boundaries]) < 0.5)
+    assert [s.start for s in found.segments] == [0, *(boundary.index for boundary in found.boundaries)]
+    assert found.segments[-1].stop == len(poses)
+    assert all(b.earliest <= b.index <= b.latest and found.times[b.index] == b.time for b in found.boundaries)
+
+
+@pytest.mark.parametrize("errors", sorted(SIZES))
+@pytest.mark.parametrize("shift", [(0.4, -0.4, 0.4), (0.0, 0.0, 3.0)])
+def test_the_body_frame_may_be_distant(errors: str, shift: tuple[float, ...]) -> None:
+    made, moved = sequence(errors), np.eye(4)
+    moved[:3, 3] = shift
+    assert_right(made, made.poses @ moved)
+
+
+@pytest.mark.parametrize("motion", ["sines", "jerks"])
+@pytest.mark.parametrize("errors", sorted(SIZES))
+def test_one_pose_in_twenty_may_be_an_outlier(errors: str, motion: str) -> None:
+    made, rng = sequence(errors, motion, ["ball", "hinge", "plane", "slide"]), np.random.default_rng(5)
+    poses = made.poses.copy()
+    wrong = rng.random(len(poses)) < 0.05
+    poses[wrong, :3, 3] += rng.normal(0, 0.05, (wrong.sum(), 3))
+    assert_right(made, poses)
+
+
+def test_outliers_are_found_in_recordings_of_any_length() -> None:
+    """A recording is searched in blocks; outliers may lie where two blocks meet, and in the last block."""
+    made = sequence("encoder", labels=[*LABELS, *LABELS, *LABELS, *LABELS])
+    for number in (20, 511, 512, 513, 960, 961, 1500, len(made.poses)):
+        planted = np.zeros(number, bool)
+        planted[10:-3:47] = True
+        planted[[k for k in (479, 480, 495, 496, 511, 512, 975, 992) if k < number - 3]] = True
+        poses = made.poses[:number].copy()
+        poses[planted, 2, 3] += 0.2
+        assert np.array_equal(outliers_of(poses, made.times[:number]), planted)
+        assert not outliers_of(made.poses[:number], made.times[:number]).any()
