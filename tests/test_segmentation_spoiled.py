@@ -1,11 +1,11 @@
-"""Segments do not depend on the choice of the body frame, or on poses that are outliers."""
+"""Segments do not depend on the choice of the body frame, or on outliers and repeated poses."""
 
 import numpy as np
 import pytest
 
 import reframe_jax as rf
 from benchmarks.segmentation_cases import NAMES, Sequence, move_through
-from reframe_jax.segmentation.outliers import outliers_of
+from reframe_jax.segmentation.left_out import find_left_out
 
 LABELS = ["hinge", "free", "ball", "slide"]
 SIZES = {"encoder": {"white": 1e-5}, "markers": {"white": 3e-4}, "soft": {"white": 1e-6, "soft": 5e-4}}
@@ -47,6 +47,13 @@ def test_one_pose_in_twenty_may_be_an_outlier(errors: str, motion: str) -> None:
     assert_right(made, poses)
 
 
+def test_a_recorder_may_write_every_pose_twice() -> None:
+    made = sequence("markers")
+    poses, times = np.repeat(made.poses, 2, axis=0), 0.01 * np.arange(2 * len(made.poses))
+    assert np.array_equal(find_left_out(poses, times), np.arange(len(poses)) % 2 == 1)
+    assert_right(made._replace(times=times, starts=2 * made.starts), poses)
+
+
 def test_outliers_are_found_in_recordings_of_any_length() -> None:
     """A recording is searched in blocks; outliers may lie where two blocks meet, and in the last block."""
     made = sequence("encoder", labels=[*LABELS, *LABELS, *LABELS, *LABELS])
@@ -56,5 +63,5 @@ def test_outliers_are_found_in_recordings_of_any_length() -> None:
         planted[[k for k in (479, 480, 495, 496, 511, 512, 975, 992) if k < number - 3]] = True
         poses = made.poses[:number].copy()
         poses[planted, 2, 3] += 0.2
-        assert np.array_equal(outliers_of(poses, made.times[:number]), planted)
-        assert not outliers_of(made.poses[:number], made.times[:number]).any()
+        assert np.array_equal(find_left_out(poses, made.times[:number]), planted)
+        assert not find_left_out(made.poses[:number], made.times[:number]).any()

@@ -20,7 +20,7 @@ from reframe_jax.segmentation.bank import best_scores, fit_models, misfit
 from reframe_jax.segmentation.cells import Cells, make_cells, path_features
 from reframe_jax.segmentation.chance import with_chance
 from reframe_jax.segmentation.constants import SEGMENTS as C
-from reframe_jax.segmentation.outliers import outliers_of
+from reframe_jax.segmentation.left_out import find_left_out
 from reframe_jax.segmentation.pieces import Piece, find_pieces, join_pieces, label_pieces
 from reframe_jax.segmentation.results import Boundary, Segment, Segmentation
 
@@ -111,8 +111,8 @@ def find_segments(
     The result is the segments as (first pose, pose after the last, label), the boundaries, and the motion
     time, s.
     """
-    kept, number = np.flatnonzero(~outliers_of(poses, times)), len(poses)
-    cells = with_chance(make_cells(poses[kept], float(np.median(np.diff(times)))))
+    kept, number = np.flatnonzero(~find_left_out(poses, times)), len(poses)
+    cells = with_chance(make_cells(poses[kept], float(np.median(np.diff(times[kept])))))
     pieces = join_pieces(cells, find_pieces(cells))
     places = [place_border(cells, *pair) for pair in pairwise(pieces)]
     boundaries = tuple(
