@@ -5,6 +5,7 @@
 - sequences of free motion, pin on plane, contour, ball, hinge, slide, plane and lock with white noise of
   10 um to 1 mm and with soft contacts that give 0.3 to 1 mm (:mod:`benchmarks.segmentation_cases`);
 - the same with splines through random places for motion, slower and with fewer independent values;
+- the same with outliers, with repeated poses, and with the body frame 0.6 m away;
 - recordings of one constraint, in which no change may be found;
 - a pointer that pivots about eight points, with 0.1, 0.3 and 1 mm of noise;
 - real recordings in ``../shared/data``, if they are there;
@@ -31,10 +32,12 @@ from benchmarks.segmentation_arm import arm_rows, print_arm
 from benchmarks.segmentation_cases import (
     MOTIONS,
     NAMES,
+    SPOILED,
     Sequence,
     move_through,
     simulate_sequences,
     simulate_single,
+    spoil,
 )
 from benchmarks.timing import peak_above
 from reframe_jax.simulation.motions import PoseErrors
@@ -79,6 +82,14 @@ def main() -> None:
                 compare(each) for each in simulate_sequences(options.sequences, options.seed, motion=motion)
             ]
             for motion in MOTIONS
+        },
+        **{
+            how: [
+                compare(spoil(each, how))
+                for motion in ("sines", "jerks")
+                for each in simulate_sequences(options.sequences // 2, options.seed, motion=motion)
+            ]
+            for how in SPOILED
         },
         "singles": [
             compare(simulate_single(label, number, options.seed))
@@ -213,6 +224,9 @@ def print_metrics(record: dict[str, Any]) -> dict[str, float]:
     for motion in MOTIONS:
         found = print_sequences(f"sequences of {motion}", record[motion])
         metrics |= {f"{motion}: {name}": value for name, value in found.items()}
+    for how, description in SPOILED.items():
+        found = print_sequences(f"sequences of sines and jerks {description}", record[how])
+        metrics |= {f"{how}: {name}": value for name, value in found.items()}
     if record["singles"]:
         metrics["single constraints whole"] = float(np.mean([row["whole"] for row in record["singles"]]))
         print(

@@ -20,7 +20,17 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-__all__ = ["ERRORS", "MOTIONS", "NAMES", "Sequence", "move_through", "simulate_sequences", "simulate_single"]
+__all__ = [
+    "ERRORS",
+    "MOTIONS",
+    "NAMES",
+    "SPOILED",
+    "Sequence",
+    "move_through",
+    "simulate_sequences",
+    "simulate_single",
+    "spoil",
+]
 
 _FREE_ROTATION = {"free": "xyz", "pin": "xyz", "contour": "xyz", "ball": "xyz", "hinge": "z", "plane": "z"}
 _FREE_TRANSLATION = {"free": "xyz", "pin": "xy", "contour": "x", "slide": "x", "plane": "xy"}
@@ -38,6 +48,13 @@ NAMES = {
 """Right names, or what a right name contains."""
 
 MOTIONS = "sines", "splines", "jerks"
+SPOILED = {
+    "frame": "with the body frame 0.6 m away",
+    "outliers": "in which 5 % of the poses are outliers of 50 mm",
+    "repeats": "in which every second pose repeats the pose before it",
+}
+"""Ways to spoil a sequence, with a description."""
+
 _MOVEMENT = 0.6, 1.2  # s, shortest and longest minimum-jerk movement
 
 ERRORS = (
@@ -89,6 +106,19 @@ def simulate_sequences(count: int, seed: int = 0, motion: str = "sines") -> list
             move_through(labels, durations, ERRORS[number % len(ERRORS)], rng, motion=motion, apart=apart)
         )
     return made
+
+
+def spoil(made: Sequence, how: str) -> Sequence:
+    """Return a sequence with outliers or repeated poses, or in another body frame; see :data:`SPOILED`."""
+    poses, rng = made.poses.copy(), np.random.default_rng(len(made.poses))
+    if how == "frame":
+        poses[:, :3, 3] += poses[:, :3, :3] @ np.array([0.3, -0.3, 0.4])
+    elif how == "outliers":
+        wrong = rng.random(len(poses)) < 0.05
+        poses[wrong, :3, 3] += rng.normal(0, 0.05, (wrong.sum(), 3))
+    else:
+        poses = np.repeat(poses[::2], 2, axis=0)[: len(poses)]
+    return made._replace(poses=poses)
 
 
 def simulate_single(label: str, number: int, seed: int = 0, motion: str = "sines") -> Sequence:
