@@ -48,6 +48,12 @@ def test_a_recorder_may_write_every_pose_twice() -> None:
     assert_right(made)
 
 
+def test_short_recordings_keep_their_poses() -> None:
+    made = spoil(sequence("markers"), "repeats")
+    found = rf.segment(made.poses[:17], times=made.times[:17])  # nine different poses
+    assert (found.segments[0].start, found.segments[-1].stop) == (0, 17)
+
+
 def test_outliers_are_found_in_recordings_of_any_length() -> None:
     """A recording is searched in blocks; outliers may lie where two blocks meet, and in the last block."""
     made = sequence("encoder", labels=[*LABELS, *LABELS, *LABELS, *LABELS])

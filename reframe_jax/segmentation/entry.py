@@ -112,6 +112,7 @@ def find_segments(
     time, s.
     """
     kept, number = np.flatnonzero(~find_left_out(poses, times)), len(poses)
+    kept = kept if len(kept) >= 2 * _FEWEST else np.arange(number)
     cells = with_chance(make_cells(poses[kept], float(np.median(np.diff(times[kept])))))
     pieces = join_pieces(cells, find_pieces(cells))
     places = [place_border(cells, *pair) for pair in pairwise(pieces)]
