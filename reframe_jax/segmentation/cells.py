@@ -24,7 +24,7 @@ class Cells:
     """Cells of a recording, and the sizes of its motion and noise."""
 
     rotation: np.ndarray  # (P, 3, 3) rotations of the body at all poses
-    position: np.ndarray  # (P, 3) m, its positions
+    position: np.ndarray  # (P, 3) m, path of the point of the body that moves least, about its mean
     reach: float  # m, half the width of the cube in which origins are searched, about that of each body
     # (4, N, 12) features of the linear types BB, GB, GG, BG. The coordinate of an origin x along a direction
     # n is the scalar product of a feature with the matrix n (1, x), row by row

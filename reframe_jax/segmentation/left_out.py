@@ -1,4 +1,4 @@
-"""Find the poses of a recording that segmentation leaves out, in recordings of any length."""
+"""Find the poses that segmentation leaves out, in recordings of any length."""
 
 import jax
 import jax.numpy as jnp
