@@ -95,7 +95,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130  # exit code that shells report for Ctrl-C
 
 
-def build_parser(words: Collection[str] = COMMANDS) -> argparse.ArgumentParser:
+def build_parser(words: Collection[str]) -> argparse.ArgumentParser:
     """Build the parser and import the commands that are among the words, because an import takes a second.
 
     The other commands have a name but no options.

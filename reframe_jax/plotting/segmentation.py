@@ -6,6 +6,7 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
+from reframe_jax.constraints.types import POSITION_BODIES, AngularType
 from reframe_jax.plotting.style import CONSTRAINED, FONT, FREE, LEGEND_ABOVE, LINES, new_figure
 from reframe_jax.segmentation.cells import path_features
 from reframe_jax.segmentation.results import Segmentation
@@ -98,7 +99,7 @@ def segment_velocities(poses: np.ndarray, found: Segmentation) -> tuple[np.ndarr
         shifts, turns = path_features(own[:, :3, :3], own[:, :3, 3] - centre)
         frames = jax.device_get((segment.identification.linear, segment.identification.angular))
         kind = int(frames[0].type_code)
-        origin = np.append(1.0, frames[0].position - centre * (kind >= 2))  # GG and BG
+        origin = np.append(1.0, frames[0].position - centre * (POSITION_BODIES[kind] == AngularType.G))
         paths = shifts[kind].reshape(-1, 3, 4) @ origin, turns[int(frames[1].type_code)]
         duration = (times[2 * half :] - times[: -2 * half])[:, None]
         for velocities, path, frame in zip((linear, angular), paths, frames, strict=True):

@@ -128,8 +128,8 @@ def find_segments(
         first = min(-(-start // cells.samples), piece.stop - 1)
         last = max(min(stop // cells.samples, piece.stop), first + 1)
         inner.append(piece._replace(start=first, stop=last))
-    spans = pairwise([0, *(boundary.index for boundary in boundaries), number])  # with the outliers
-    parts = [(*span, label) for span, label in zip(spans, label_pieces(cells, inner), strict=True)]
+    ends = pairwise([0, *(boundary.index for boundary in boundaries), number])  # with the poses left out
+    parts = [(*span, label) for span, label in zip(ends, label_pieces(cells, inner), strict=True)]
     return parts, boundaries, cells.motion_time
 
 
