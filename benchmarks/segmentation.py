@@ -5,6 +5,7 @@
 - sequences of free motion, pin on plane, contour, ball, hinge, slide, plane and lock with white noise of
   10 um to 1 mm and with soft contacts that give 0.3 to 1 mm (:mod:`benchmarks.segmentation_cases`);
 - the same with splines through random places for motion, slower and with fewer independent values;
+- the same with 10 to 20 s instead of 4 to 8 s a constraint;
 - the same with outliers, with repeated poses, and with the body frame 0.6 m away;
 - recordings of one constraint, in which no change may be found;
 - a pointer that pivots about eight points, with 0.1, 0.3 and 1 mm of noise;
@@ -91,6 +92,10 @@ def main() -> None:
             ]
             for how in SPOILED
         },
+        "lasting": [
+            compare(each)
+            for each in simulate_sequences(options.sequences, options.seed, motion="jerks", lasting=(10, 20))
+        ],
         "singles": [
             compare(simulate_single(label, number, options.seed))
             for number in range(options.singles)
@@ -227,6 +232,8 @@ def print_metrics(record: dict[str, Any]) -> dict[str, float]:
     for how, description in SPOILED.items():
         found = print_sequences(f"sequences of sines and jerks {description}", record[how])
         metrics |= {f"{how}: {name}": value for name, value in found.items()}
+    found = print_sequences("sequences of jerks of 10 to 20 s a constraint", record["lasting"])
+    metrics |= {f"lasting: {name}": value for name, value in found.items()}
     if record["singles"]:
         metrics["single constraints whole"] = float(np.mean([row["whole"] for row in record["singles"]]))
         print(

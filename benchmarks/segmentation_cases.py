@@ -82,13 +82,16 @@ class Sequence(NamedTuple):
         return np.asarray(self.times[self.starts[1:]])
 
 
-def simulate_sequences(count: int, seed: int = 0, motion: str = "sines") -> list[Sequence]:
-    """Simulate sequences of three or four constraints, 4 to 8 s each, with no constraint twice in a row.
+def simulate_sequences(
+    count: int, seed: int = 0, motion: str = "sines", lasting: tuple[float, float] = (4, 8)
+) -> list[Sequence]:
+    """Simulate sequences of three or four constraints, with no constraint twice in a row.
 
     Args:
         count: number of sequences.
         seed: seed of all random numbers.
         motion: one of :data:`MOTIONS`.
+        lasting: shortest and longest duration of a constraint, s.
     """
     made = []
     for number in range(count):
@@ -100,7 +103,7 @@ def simulate_sequences(count: int, seed: int = 0, motion: str = "sines") -> list
             label = "free" if free else str(rng.choice(list(NAMES)))
             if labels[-1:] != [label]:
                 labels.append(label)
-        durations = rng.uniform(4, 8, len(labels))
+        durations = rng.uniform(*lasting, len(labels))
         apart = _MOVEMENT if motion == "jerks" else (0.7, 1.8) if number % 2 else (1.5, 3.0)
         made.append(
             move_through(labels, durations, ERRORS[number % len(ERRORS)], rng, motion=motion, apart=apart)

@@ -1,5 +1,6 @@
 """Sequences of simulated constraints: number of segments, boundaries, stillness, labels."""
 
+import dataclasses
 from functools import cache
 
 import jax
@@ -47,7 +48,7 @@ def test_what_is_held_changes_where_the_constraint_does(labels: tuple[str, ...],
     made = sequence(labels, errors)
     cells, pieces = pieces_of(made)
     assert [piece.held for piece in pieces] == [HELD[label] for label in labels]
-    starts = np.array([piece.start for piece in pieces[1:]]) * cells.duration
+    starts = np.array([piece.start for piece in pieces[1:]]) * cells.weight * cells.motion_time
     assert np.all(np.abs(starts - made.changes) < 0.4)
 
 
@@ -156,10 +157,25 @@ def test_movements_with_stops_hold_rows_by_chance_for_longer() -> None:
     rng = np.random.default_rng(8)
     made = move_through(["free"], np.array([20.0]), ENCODER, rng, rate=50, motion="jerks", apart=(0.6, 1.2))
     cells = with_chance(make_cells(made.poses, 0.02))
-    number, length = cells.linear.shape[1], round(2 / cells.duration)
+    number, length = cells.linear.shape[1], round(2 / cells.weight / cells.motion_time)
     spans = np.stack([np.arange(number - length), np.arange(length, number)], axis=1)
     logs = np.log(fit_spans(cells, spans).size[:, 1, :, :2]).sum(axis=-1).min(axis=1)
     assert np.median(logs) > np.median(cells.references(spans)[:, 2, 0]) - 1.0
+
+
+def test_a_segment_costs_more_in_a_longer_recording() -> None:
+    """The best of more spans is larger by chance, so that a long free motion would be divided more often."""
+    counts = []
+    for number in range(6):
+        rng = np.random.default_rng(100 + number)
+        made = move_through(
+            ["free"], np.array([60.0]), ENCODER, rng, rate=50, motion="jerks", apart=(0.6, 1.2)
+        )
+        cells = with_chance(make_cells(made.poses, 0.02))
+        short = dataclasses.replace(cells, price=make_cells(made.poses[:300], 0.02).price)
+        counts.append([len(join_pieces(each, find_pieces(each))) for each in (cells, short)])
+    ours, theirs = np.sum(counts, axis=0)
+    assert ours <= theirs - 4
 
 
 @pytest.mark.parametrize("label", ["contour", "ball"])

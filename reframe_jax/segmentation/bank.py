@@ -93,11 +93,11 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
         both[:, 3, 3] += 3 * np.log(reference) - _log_sizes(size, bound)[0][:, 3]
     turned = np.where(np.isfinite(angular), np.maximum(references[:, 0] - angular, 0), 0)
     each = turned / np.maximum(np.arange(4), 1)
-    score = count[:, None, None] * both - C.price - (_ANGULAR_PARAMETERS * each)[:, None]
+    score = count[:, None, None] * both - cells.price - (_ANGULAR_PARAMETERS * each)[:, None]
     score[:, 0, 0] = -np.inf
     score = score.reshape(-1, 16)
     order = np.argsort(-score, axis=1)[:, :_KEPT]
-    span, rank = np.nonzero(np.take_along_axis(score, order, axis=1) > -C.price)
+    span, rank = np.nonzero(np.take_along_axis(score, order, axis=1) > -cells.price)
     chosen = order[span, rank]
     held = np.stack([chosen // 4, chosen % 4], axis=1)
     kind = np.stack([linear_type[span, held[:, 0]], angular_type[span, held[:, 1]]], axis=1)

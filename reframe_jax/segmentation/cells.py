@@ -31,10 +31,11 @@ class Cells:
     linear: np.ndarray
     angular: np.ndarray  # (2, N, 3) rad, integral of the angular velocity in the ground and in the body
     samples: int  # number of poses per cell
-    duration: float  # s, duration of a cell
+    weight: float  # number of independent values per cell
     motion_time: float  # s, time in which the motion gives one independent value
     motion: np.ndarray  # (2,) m and rad, amplitudes of a translation and of a rotation
     floor: np.ndarray  # (2,) m and rad, residuals below this size count as zero
+    price: float  # log evidence that a segment costs
     progress: np.ndarray  # (N + 1,) number of cells of usual motion that equals the motion before each cell
     # (L,) logarithms of span lengths in cells, and (L, 4, 4) sums of the logarithms of the sizes in m and rad
     # of 0 to 3 translations and 0 to 3 rotations, fitted to motion without any held coordinate; empty before
@@ -48,11 +49,6 @@ class Cells:
         lengths, sums = self.chance
         logs = np.stack([np.interp(at, lengths, each) for each in sums.reshape(-1, 16).T], axis=1)
         return np.minimum(logs.reshape(-1, 4, 4), np.arange(4)[:, None] * a + np.arange(4) * b)
-
-    @property
-    def weight(self) -> float:
-        """Number of independent values per cell."""
-        return self.duration / self.motion_time
 
     @property
     def reference(self) -> np.ndarray:
@@ -74,8 +70,9 @@ def make_cells(poses: np.ndarray, step: float) -> Cells:
     linear, angular = _average_features(rotation, position, samples)
     errors = np.hypot(C.floor_position, C.floor_rotation * distance), C.floor_rotation
     floor = np.hypot(errors, noise / np.sqrt(samples))
-    sizes = samples, samples * step, time, motion, floor
-    return Cells(rotation, position, reach, linear, angular, *sizes, np.arange(linear.shape[1] + 1.0))
+    number = linear.shape[1]
+    sizes = samples, samples * step / time, time, motion, floor, C.price + float(np.log(number))
+    return Cells(rotation, position, reach, linear, angular, *sizes, np.arange(number + 1.0))
 
 
 def _least_moving_point(poses: np.ndarray) -> tuple[np.ndarray, float]:

@@ -32,9 +32,9 @@ class SegmentConstants(NamedTuple):
     stretch: float = 2.5
     # quantile of the path lengths in windows of the recording, below which a motion is slow
     usual: float = 0.4
-    # log evidence that a segment costs, because the best of many spans and models is chosen; a model that
-    # lacks at most this evidence is kept, because the segment may be longer
-    price: float = 9.0
+    # log evidence that a segment costs, beside the logarithm of the number of cells, because the best of many
+    # spans and models is chosen; a model that lacks at most its price is kept: the segment may be longer
+    price: float = 5.0
     # log evidence, near a border, of a pose that a model explains, and in addition for each row; with one
     # row, residuals above 2.6 times their RMS count as motion
     border: float = 1.0

@@ -51,7 +51,7 @@ def find_pieces(cells: Cells) -> list[Piece]:
     tried, done = first.take([]), set[tuple[int, int]]()
     pieces = [Piece(0, number, None)]
     for part in _PRICES:
-        path, now = likeliest(coverage, part * C.price)
+        path, now = likeliest(coverage, part * cells.price)
         edges = [0, *(np.flatnonzero(np.diff(path)) + 1).tolist(), number]
         spans = _neighbours(edges)
         new = np.array(sorted(spans - done)).reshape(-1, 2)
