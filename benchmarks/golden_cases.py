@@ -11,9 +11,9 @@ origin lies within 0.3 m of the body's origin along each axis. Sums of sines dri
 - ``small``, ``small turns``, ``small shifts``: a tenth of all, of the rotations, or of the translations.
 
 In the group ``faults``, recordings of the motion ``measured`` with white noise have a fault: four poses that
-jump, of which the first or the last is one; two runs of two to seven poses that jump; a missing second; 30 %
-missing poses; poses that are recorded twice, by a recorder faster than the tracker; or the times at which
-poses arrive, in bursts of five.
+jump, of which the first or the last is one; two runs of two to seven poses that jump; a missing second; four
+times 0.3 s of missing poses; 30 % missing poses; poses that are recorded twice, by a recorder faster than the
+tracker; or the times at which poses arrive, in bursts of five.
 
 White noise has a standard deviation of sigma in m for positions and sigma / 0.3 m in rad for orientations.
 Slow errors are sums of three sines of 0.1 to 1.2 Hz in random directions, half of their variance in the axes
@@ -204,7 +204,7 @@ def small_specs() -> Iterator[Spec]:
 def faults_specs() -> Iterator[Spec]:
     moving = [label for label in CONSTRAINTS if label != "fixed"]
     for fault, white, label in product(
-        ("jumps", "runs", "gap", "missing", "repeats", "bursts"), SIGMAS[1:4], moving
+        ("jumps", "runs", "gap", "missing", "hidden", "repeats", "bursts"), SIGMAS[1:4], moving
     ):
         yield Spec("faults", label, "measured", 20, white, seed=40, fault=fault)
 
@@ -398,6 +398,10 @@ def _spoil(
         return poses, times[np.minimum(number // 5 * 5 + 4, len(times) - 1)] + 1e-4 * (number % 5)
     if fault == "missing":
         kept = np.sort(rng.permutation(len(times))[: 7 * len(times) // 10])
+        return poses[kept], times[kept]
+    if fault == "hidden":
+        ends = np.sort(rng.permutation(len(times) - 24)[:4]) + 6 * np.arange(1, 5)
+        kept = np.setdiff1d(np.arange(len(times)), ends[:, None] - np.arange(6))
         return poses[kept], times[kept]
     if fault == "gap":
         start = rng.integers(len(times) // 4, len(times) // 2)

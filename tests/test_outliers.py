@@ -15,11 +15,12 @@ POSES, DT, NOISE = 51, 0.04, 1e-4
 
 
 @jax.jit
-def find(poses, count):
+def find(poses, count, times=None):
     """Which poses (N, P, 4, 4) are outliers, (N, P)."""
     rotation, position = split_poses(poses)
     path = jnp.concatenate([rotation.reshape(9, *position.shape[1:]), position])
-    steps = jnp.full((path.shape[1] - 1, len(poses)), DT)
+    times = DT * jnp.arange(path.shape[1]) if times is None else times
+    steps = jnp.broadcast_to(jnp.diff(times)[:, None], (path.shape[1] - 1, len(poses)))
     return find_outliers(path, steps, count, jnp.zeros(len(poses))).T
 
 
@@ -97,6 +98,17 @@ def test_a_short_fast_motion_between_rests_is_no_outlier(samples, pause):
     window[:, :3, 3] = 0.2 * part[:, None] * [0.0, 1.0, 0.0]
     window[:, :3, 3] += 1e-6 * np.random.default_rng(0).normal(size=(150, 3))
     assert not np.any(find(window[None], np.array([150])))
+
+
+@pytest.mark.parametrize(("step", "missing"), [(0.07, 6), (0.1, 3), (0.05, 6)])
+def test_poses_between_two_gaps_are_no_outliers(step, missing):
+    """The cubic through the poses around two gaps is far from the ten poses between the gaps."""
+    times = step * np.arange(100)
+    every = synthetic.simulate("A", jax.random.key(5), noise=NOISE, dt=step, duration=100 * step).poses[:100]
+    kept = np.flatnonzero(np.arange(100) % (10 + missing) >= missing)
+    seen, count = np.array(every)[kept], np.array([len(kept)])
+    assert not np.any(find(seen[None], count, times[kept]))
+    assert list(np.flatnonzero(find(shift(seen, [24, 30], 0.5)[None], count, times[kept])[0])) == [24, 30]
 
 
 def test_a_step_that_does_not_come_back_is_no_outlier(poses):

@@ -174,7 +174,8 @@ def _are_apart(around: Array, known: Array, run: Array, bend: Array | float, noi
     gaps = nodes[9, :, None] - nodes[9]
     gaps = jnp.prod(jnp.where(gaps == 0, 1, gaps), axis=1)
     away = tested[9, :, None] - nodes[9]
-    weights = jnp.prod(away, axis=1)[:, None] / jnp.where(away == 0, 1, away * gaps)
+    product = jnp.prod(away, axis=1)
+    weights = product[:, None] / jnp.where(away == 0, 1, away * gaps)
     predicted = total(weights * nodes[:9, None], 2)
     gain = 1 + total(weights * weights, 1)
     distance = _lengths(tested[:9] - predicted)  # (2, 2 + M, ...)
@@ -182,7 +183,9 @@ def _are_apart(around: Array, known: Array, run: Array, bend: Array | float, noi
     ends = jnp.minimum(first, last)
     noise = _NOISES * noise.reshape(2, *[1] * (ends.ndim - 2), -1)
     limit = noise * jnp.sqrt(jnp.max(gain[2:], axis=0))
-    agree = _AGREE * jnp.max(known * others, axis=1)
+    # the error of the cubic is proportional to the product of the distances: between gaps it is larger
+    error = jnp.maximum(1, jnp.max(jnp.abs(product[2:]), axis=0) / jnp.abs(product[:2]))
+    agree = _AGREE * jnp.max(jnp.where(known, others * error, 0), axis=1)
     apart = (ends > limit) & (ends > agree) & (ends > _SUDDEN * middle)
     return jnp.any(apart & (bend > noise) & (bend > _JUMP * ends), axis=0)
 
