@@ -52,6 +52,7 @@ SPOILED = {
     "frame": "with the body frame 0.6 m away",
     "outliers": "in which 5 % of the poses are outliers of 50 mm",
     "repeats": "in which every second pose repeats the pose before it",
+    "hidden": "in which a fifth of the poses are missing, in gaps of 0.25 s",
 }
 """Ways to spoil a sequence, with a description."""
 
@@ -112,8 +113,15 @@ def simulate_sequences(
 
 
 def spoil(made: Sequence, how: str) -> Sequence:
-    """Return a sequence with outliers or repeated poses, or in another body frame; see :data:`SPOILED`."""
+    """Return a sequence with errors of a tracker, or in another body frame; see :data:`SPOILED`."""
     poses, rng = made.poses.copy(), np.random.default_rng(len(made.poses))
+    if how == "hidden":
+        seen, length = np.ones(len(poses), bool), round(0.25 / made.times[1])
+        while seen.mean() > 0.8:
+            start = rng.integers(0, len(poses) - length)
+            seen[start : start + length] = False
+        starts = np.array([seen[:start].sum() for start in made.starts])
+        return made._replace(poses=poses[seen], times=made.times[seen] - made.times[seen][0], starts=starts)
     if how == "frame":
         poses[:, :3, 3] += poses[:, :3, :3] @ np.array([0.3, -0.3, 0.4])
     elif how == "outliers":

@@ -1,11 +1,12 @@
-"""Segments do not depend on the choice of the body frame, or on outliers and repeated poses."""
+"""Segments do not depend on the choice of the body frame, or on outliers, repeated or missing poses."""
 
 import numpy as np
 import pytest
 
 import reframe_jax as rf
 from benchmarks.segmentation_cases import NAMES, Sequence, move_through, spoil
-from reframe_jax.segmentation.left_out import find_left_out
+from reframe_jax.geometry.numpy_rotations import rotation_matrices
+from reframe_jax.segmentation.sampling import fill_gaps, find_left_out
 
 LABELS = ["hinge", "free", "ball", "slide"]
 SIZES = {"encoder": {"white": 1e-5}, "markers": {"white": 3e-4}, "soft": {"white": 1e-6, "soft": 5e-4}}
@@ -46,6 +47,36 @@ def test_a_recorder_may_write_every_pose_twice() -> None:
     made = spoil(sequence("markers"), "repeats")
     assert np.array_equal(find_left_out(made.poses, made.times), np.arange(len(made.poses)) % 2 == 1)
     assert_right(made)
+
+
+@pytest.mark.parametrize("errors", sorted(SIZES))
+def test_poses_may_be_missing_for_a_quarter_of_a_second(errors: str) -> None:
+    assert_right(spoil(sequence(errors), "hidden"))
+
+
+def test_short_gaps_are_filled_with_cubics() -> None:
+    times = np.concatenate([np.arange(10), np.arange(13, 30), np.arange(60, 80)]) * 0.1
+    poses = np.tile(np.eye(4), (len(times), 1, 1))
+    poses[:, :3, 3] = np.stack([times, times**2, 0.1 * times**3], axis=1)
+    poses[:, :3, :3] = rotation_matrices(np.outer(np.sin(0.5 * times), [0.1, 0.2, 0.3]))
+    filled, source = fill_gaps(poses, times, 0.1, 1.0)
+    assert np.array_equal(source, [*range(10), 10, 10, 10, *range(10, len(times))])
+    given = np.flatnonzero(np.diff(source, append=len(times)))
+    assert np.array_equal(filled[given], poses)
+    at = np.array([1.0, 1.1, 1.2])[:, None]
+    expected = np.concatenate([at, at**2, 0.1 * at**3], axis=1)
+    np.testing.assert_allclose(filled[10:13, :3, 3], expected, atol=1e-12)
+    turned = rotation_matrices(np.sin(0.5 * at) * [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(filled[10:13, :3, :3], turned, atol=1e-5)
+
+
+def test_poses_that_arrive_in_bursts_have_no_gaps() -> None:
+    made = sequence("encoder")
+    late = np.arange(len(made.times)) // 5 * 5
+    times = made.times[np.minimum(late + 4, len(late) - 1)] + 1e-4 * (np.arange(len(late)) - late)
+    filled, source = fill_gaps(made.poses, times, 0.02, 1.0)
+    assert len(filled) == len(source) == len(made.poses)
+    assert_right(made._replace(times=times))
 
 
 def test_short_recordings_keep_their_poses() -> None:

@@ -33,7 +33,6 @@ class Bank(NamedTuple):
     size: np.ndarray  # (H, 6) m and rad, RMS deviations from ``middle``; infinite for unused rows
     score: np.ndarray  # (H,) log evidence for the model in its own span, minus the price of a segment
     reference: np.ndarray  # (H,) sum of the logarithms of the amplitudes of the coordinates if they are free
-    motion: np.ndarray  # (H,) m, largest motion of the span
 
     def take(self, index: np.ndarray | list[int]) -> "Bank":
         """Select models by index."""
@@ -73,18 +72,14 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
     because a longer span may supply the missing evidence.
     """
     count = (spans[:, 1] - spans[:, 0]) * cells.weight
-    own = fits.motion[:, None] / C.gap
-    most, most_turn = (
-        np.minimum(bound, np.maximum(3 * floor, own / lever))
-        for bound, floor, lever in zip(cells.bound(C.held), cells.floor, (1, C.lever), strict=True)
-    )
+    most, most_turn = cells.bound(C.held)
     references = cells.references(spans)
     # once one row is held, further rows are by chance as small as a single row
     further = np.minimum(most, np.maximum(3 * cells.floor[0], C.reference * np.exp(references[:, 1, :1])))
-    limits = np.stack([most, further, further], axis=1)
+    limits = np.stack([np.full_like(further, most), further, further], axis=1)
     linear, linear_type = _log_sizes(fits.size, limits)
     every = np.where(np.arange(3) < np.arange(1, 4)[:, None, None], fits.turn[:, None], np.inf)
-    angular, angular_type = _log_sizes(every, most_turn[:, None])
+    angular, angular_type = _log_sizes(every, most_turn)
     both = np.maximum(references - (linear[:, :, None] + angular[:, None]), 0)
     both = np.where(np.isfinite(linear[:, :, None] + angular[:, None]), both, -np.inf)
     # stillness: no coordinate moves, for a longer time than at a turning point
@@ -116,7 +111,6 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
         size=np.concatenate([rms, rms_turn], axis=1),
         score=score[span, chosen],
         reference=np.where(chosen == 15, 3 * np.log(cells.reference).sum(), references[span, *held.T]),
-        motion=fits.motion[span],
     )
 
 
@@ -142,18 +136,18 @@ def _held_rows(
     return weights, np.einsum("hrf,hf->hr", weights, mean), np.where(used, rms, np.inf)
 
 
-def gains(bank: Bank, values: np.ndarray, widen: float = 1.0) -> np.ndarray:
-    """Log evidence (H, N) that coordinates (H, N, 6) are held by models of ``widen`` times their size."""
+def gains(bank: Bank, values: np.ndarray) -> np.ndarray:
+    """Log evidence (H, N) that coordinates (H, N, 6) are held by models."""
     used = np.isfinite(bank.size)
-    sizes = np.sum(np.log(np.where(used, widen * bank.size, 1)), axis=1)
-    return np.maximum(bank.reference - sizes, 0)[:, None] - misfit(bank, values, widen)
+    sizes = np.sum(np.log(np.where(used, bank.size, 1)), axis=1)
+    return np.maximum(bank.reference - sizes, 0)[:, None] - misfit(bank, values)
 
 
-def misfit(bank: Bank, values: np.ndarray, widen: float = 1.0) -> np.ndarray:
-    """Negative log likelihood (H, N) of coordinates (H, N, 6) under models of ``widen`` times their size.
+def misfit(bank: Bank, values: np.ndarray) -> np.ndarray:
+    """Negative log likelihood (H, N) of coordinates (H, N, 6) under models.
 
     The value is about 0 in a cell where the model holds, and grows with the residuals.
     """
-    residual = (values - bank.middle[:, None]) / (widen * bank.size[:, None])
+    residual = (values - bank.middle[:, None]) / bank.size[:, None]
     each = np.prod(1 + residual**2 / C.tail, axis=-1)  # 1 for a coordinate that is not held
     return (C.tail + 1) / 2 * np.log(each) - np.sum(bank.held, axis=1)[:, None] / 2

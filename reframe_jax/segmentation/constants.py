@@ -20,10 +20,10 @@ class SegmentConstants(NamedTuple):
     # time of one independent value, as a fraction of the lag at which the speed of displacements has halved;
     # 1 / (2 B) for motion of bandwidth B
     motion_time: float = 0.5
+    filled: float = 0.8  # longest gap that is filled, in motion times
     cells: float = 5.0  # number of cells per motion time
     held: float = 1 / 30  # largest size of a held coordinate, as a fraction of the motion of the recording
     still: float = 1 / 50  # largest size of every coordinate of a still body, as the same fraction
-    gap: float = 4.0  # smallest ratio of the largest motion of a span to a coordinate held in this span
     # amplitude of a free coordinate with little motion, as a fraction of the motion of the recording
     reference: float = 1 / 2
     chance: float = 0.2  # quantile of the sizes of rows by chance, below which rows have evidence
@@ -39,10 +39,7 @@ class SegmentConstants(NamedTuple):
     # row, residuals above 2.6 times their RMS count as motion
     border: float = 1.0
     tail: float = 4.0  # degrees of freedom of Student's distribution of residuals
-    # factor on residuals of models fitted to windows: fits to few values have too small residuals
-    widen: float = 1.5
     same: float = 3.5  # largest ratio of the sizes of held coordinates in two pieces of one constraint
-    pause: float = 3.0  # smallest ratio of the motion beside a pause to the motion in the pause
     still_time: float = 1.5  # shortest stillness that is a segment, in motion times
 
 

@@ -20,9 +20,9 @@ from reframe_jax.segmentation.bank import best_scores, fit_models, misfit
 from reframe_jax.segmentation.cells import Cells, make_cells, path_features
 from reframe_jax.segmentation.chance import with_chance
 from reframe_jax.segmentation.constants import SEGMENTS as C
-from reframe_jax.segmentation.left_out import find_left_out
 from reframe_jax.segmentation.pieces import Piece, find_pieces, join_pieces, label_pieces
 from reframe_jax.segmentation.results import Boundary, Segment, Segmentation
+from reframe_jax.segmentation.sampling import fill_gaps, find_left_out
 
 _INTERVAL = 0.025, 0.975  # quantiles of the interval of a border
 _FEWEST = 8  # fewest poses of a segment that can be identified
@@ -113,7 +113,12 @@ def find_segments(
     """
     kept, number = np.flatnonzero(~find_left_out(poses, times)), len(poses)
     kept = kept if len(kept) >= 2 * _FEWEST else np.arange(number)
-    cells = with_chance(make_cells(poses[kept], float(np.median(np.diff(times[kept])))))
+    step = float(np.mean(np.diff(times[kept])))
+    cells = make_cells(poses[kept], step)
+    filled, source = fill_gaps(poses[kept], times[kept], step, C.filled * cells.motion_time)
+    if len(filled) > len(kept):
+        cells, kept = make_cells(filled, step), kept[source]
+    cells = with_chance(cells)
     pieces = join_pieces(cells, find_pieces(cells))
     places = [place_border(cells, *pair) for pair in pairwise(pieces)]
     boundaries = tuple(

@@ -12,7 +12,7 @@ from reframe_jax.segmentation.rows import Fits, fit_spans
 from reframe_jax.segmentation.sequence import cover, likeliest
 
 _SHORTEST, _LONGEST = 8, 512  # cells in a window
-_PRICES = 0.4, 1, 1, 1, 1, 1  # of a segment, in each round: a low price first, to refit more candidates
+_ROUNDS = 6  # most rounds of fits to the pieces of the best sequence
 
 
 class Piece(NamedTuple):
@@ -46,12 +46,11 @@ def find_pieces(cells: Cells) -> list[Piece]:
     first = fit_models(cells, _windows(number))
     if not len(first.score):
         return [Piece(0, number, None)]
-    known = cover(cells, first, C.widen)
-    bank, coverage, evidence = first, known, 0.0
+    known = cover(cells, first)
+    bank, coverage = first, known
     tried, done = first.take([]), set[tuple[int, int]]()
-    pieces = [Piece(0, number, None)]
-    for part in _PRICES:
-        path, now = likeliest(coverage, part * cells.price)
+    for _ in range(_ROUNDS):
+        path, _evidence = likeliest(coverage, cells.price)
         edges = [0, *(np.flatnonzero(np.diff(path)) + 1).tolist(), number]
         spans = _neighbours(edges)
         new = np.array(sorted(spans - done)).reshape(-1, 2)
@@ -59,26 +58,14 @@ def find_pieces(cells: Cells) -> list[Piece]:
             tried = tried.join(fit_models(cells, new))
             done |= spans
         again = tried.take([k for k, span in enumerate(tried.span.tolist()) if tuple(span) in spans])
-        pieces = [Piece(a, b, bank.take([path[a]]) if path[a] >= 0 else None) for a, b in pairwise(edges)]
-        if part == 1:
-            # a model of a longer span has too much evidence in a short piece, which moves little anyway
-            best = best_scores(again)
-            paid = [
-                piece.model is None or piece.still or best.get((piece.start, piece.stop), -np.inf) >= 0
-                for piece in pieces
-            ]
-            if all(paid) and now <= evidence + 0.1:
-                break
-            evidence = now if all(paid) else -np.inf
-            for k, piece in enumerate(pieces):
-                if not paid[k]:
-                    model = path[piece.start]
-                    if model < len(first.score):
-                        known.gain[piece.start : piece.stop, known.column[model]] = -np.inf
-                    pieces[k] = piece._replace(model=None)
-        kept = [piece.model for piece in pieces if piece.model is not None]
-        fresh = again.join(*kept)
-        if not len(fresh.score):
+        # a model of a longer span has too much evidence in a short piece, which moves little anyway
+        best, pieces = best_scores(again), []
+        for a, b in pairwise(edges):
+            piece = Piece(a, b, bank.take([path[a]]) if path[a] >= 0 else None)
+            paid = piece.still or best.get((a, b), -np.inf) >= 0
+            pieces.append(piece if paid else Piece(a, b, None))
+        fresh = again.join(*(piece.model for piece in pieces if piece.model is not None))
+        if not len(new) or not len(fresh.score):
             break
         bank = first.join(fresh)
         coverage = known.join(cover(cells, fresh))
@@ -108,11 +95,8 @@ def _windows(number: int) -> np.ndarray:
 
 def _neighbours(edges: list[int]) -> set[tuple[int, int]]:
     """Spans of pieces, of pieces without their ends, and of two and three consecutive pieces."""
-    spans = set()
-    for count in (1, 2, 3):
-        for a, b in zip(edges, edges[count:], strict=False):
-            spans.add((a, b))
-            spans |= {(a + cut, b - cut) for cut in (1, 2) if count == 1}
+    spans = {span for count in (1, 2, 3) for span in zip(edges, edges[count:], strict=False)}
+    spans |= {(a + cut, b - cut) for a, b in pairwise(edges) for cut in (1, 2)}
     return {span for span in spans if span[1] - span[0] >= 3}
 
 
@@ -153,9 +137,8 @@ def _join_one(
                 return [*pieces[: min(i, j)], joined, *pieces[max(i, j) + 1 :]]
             if own.held == one.held:
                 trials.append((min(i, j), max(i, j), [own.model, one.model]))
-            slow = own.still or own.model.motion[0] <= one.model.motion[0] / C.pause
-            state = own.still and (time >= C.still_time if len(beside) == 1 else pieces[2 * i - j].still)
-            if slow and not state:
+            state = time >= C.still_time if len(beside) == 1 else pieces[2 * i - j].still
+            if own.still and not state:
                 trials.append((min(i, *beside), max(i, *beside), [one.model]))
         for first, last, models in trials:
             span = pieces[first].start, pieces[last].stop
@@ -165,9 +148,6 @@ def _join_one(
             new = tried[key]
             if new is not None:
                 return [*pieces[:first], new, *pieces[last + 1 :]]
-    # free motion shorter than one independent value is no segment
-    if beside and (time < C.still_time if own.still else own.model is None and time < 1):
-        return _divide_between_neighbours(pieces, i)
     return None
 
 
@@ -187,15 +167,6 @@ def _together(cells: Cells, start: int, stop: int, models: list[Bank]) -> Piece 
             return None
     same = np.flatnonzero(np.all(found.held == models[0].held, axis=1))
     return Piece(start, stop, found.take(same[:1]) if len(same) else models[0])
-
-
-def _divide_between_neighbours(pieces: list[Piece], i: int) -> list[Piece]:
-    """Divide a piece between its neighbours; join the neighbours if both are free motion."""
-    before, own, after = pieces[:i], pieces[i], pieces[i + 1 :]
-    middle = own.start if not before else own.stop if not after else (own.start + own.stop) // 2
-    before[-1:] = [piece._replace(stop=middle) for piece in before[-1:]]
-    after[:1] = [piece._replace(start=middle) for piece in after[:1]]
-    return _join_free(before + after)
 
 
 def label_pieces(cells: Cells, pieces: list[Piece]) -> list[int]:

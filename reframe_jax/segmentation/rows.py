@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from reframe_jax.segmentation.cells import Cells
-from reframe_jax.segmentation.constants import SEGMENTS as C
 
 _STEPS = 3, 3, 4  # steps of the fits of 3, 2 and 1 held translations; each fit starts at the previous one
 _HAT = np.cross(np.eye(3)[:, None], np.eye(3))  # (_HAT @ v)[:, c] = e_c x v
@@ -23,7 +22,6 @@ class Fits(NamedTuple):
     turn: np.ndarray  # (P, 2, 3) rad, RMS of the rotation about each of these axes
     linear_mean: np.ndarray  # (P, 4, 12) mean features
     angular_mean: np.ndarray  # (P, 2, 3) mean features
-    motion: np.ndarray  # (P,) m, largest motion of the span
 
 
 def fit_spans(cells: Cells, spans: np.ndarray) -> Fits:
@@ -31,14 +29,12 @@ def fit_spans(cells: Cells, spans: np.ndarray) -> Fits:
     number = len(spans)
     linear_mean, linear = _moments(cells.linear, spans)
     angular_mean, angular = _moments(cells.angular, spans)
-    position = np.einsum("pii->p", linear[:, 1, ::4, ::4])
     floor, floor_turn = cells.floor
     linear[..., [0, 4, 8], [0, 4, 8]] += floor**2
     variance, axes = np.linalg.eigh(angular + floor_turn**2 * np.eye(3))
     turn = np.sqrt(variance)
     form = np.ascontiguousarray(linear.reshape(-1, 144).T).reshape(3, 4, 3, 4, -1)
     weights, size = _least_motion_rows(form, cells.reach)
-    largest = np.sqrt(np.maximum(turn[:, :, 2] ** 2 - floor_turn**2, 0)).min(axis=1)
     return Fits(
         weights=weights.reshape(3, 3, 12, number, 4).transpose(3, 0, 4, 1, 2),
         size=size.reshape(3, 3, number, 4).transpose(2, 0, 3, 1),
@@ -46,7 +42,6 @@ def fit_spans(cells: Cells, spans: np.ndarray) -> Fits:
         turn=turn,
         linear_mean=linear_mean,
         angular_mean=angular_mean,
-        motion=np.maximum(np.sqrt(position), C.lever * largest),
     )
 
 

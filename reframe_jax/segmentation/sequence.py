@@ -30,8 +30,8 @@ class Coverage(NamedTuple):
         return Coverage(gain, column, np.concatenate([self.first, other.first]))
 
 
-def cover(cells: Cells, bank: Bank, widen: float = 1.0) -> Coverage:
-    """Evaluate models, ``widen`` times their size, in their spans, and one span length on either side."""
+def cover(cells: Cells, bank: Bank) -> Coverage:
+    """Evaluate models in their spans, and one span length on either side."""
     number = cells.linear.shape[1]
     start, stop = bank.span.T
     low, high = np.maximum(2 * start - stop, 0), np.minimum(2 * stop - start, number)
@@ -42,7 +42,7 @@ def cover(cells: Cells, bank: Bank, widen: float = 1.0) -> Coverage:
         for part in np.array_split(own, -(-len(own) * extent // _BATCH)):
             at, some = low[part, None] + np.arange(extent), bank.take(part)
             values = some.coordinates(cells.linear, cells.angular, at)
-            gain[at, column[part, None]] = cells.weight * gains(some, values, widen)
+            gain[at, column[part, None]] = cells.weight * gains(some, values)
     return Coverage(gain, column, low)
 
 
