@@ -36,8 +36,8 @@ class SegmentConstants(NamedTuple):
     # spans and models is chosen; a model that lacks at most its price is kept: the segment may be longer
     price: float = 5.0
     # log evidence, near a border, of a pose that a model explains, and in addition for each row; with one
-    # row, residuals above 2.6 times their RMS count as motion
-    border: float = 1.0
+    # row, residuals above 2.1 times their RMS count as motion
+    border: float = 0.7
     tail: float = 4.0  # degrees of freedom of Student's distribution of residuals
     same: float = 3.5  # largest ratio of the sizes of held coordinates in two pieces of one constraint
     still_time: float = 1.5  # shortest stillness that is a segment, in motion times
