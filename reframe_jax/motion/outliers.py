@@ -184,7 +184,7 @@ def _are_apart(around: Array, known: Array, run: Array, bend: Array | float, noi
     noise = _NOISES * noise.reshape(2, *[1] * (ends.ndim - 2), -1)
     limit = noise * jnp.sqrt(jnp.max(gain[2:], axis=0))
     # the error of the cubic is proportional to the product of the distances: between gaps it is larger
-    error = jnp.maximum(1, jnp.max(jnp.abs(product[2:]), axis=0) / jnp.abs(product[:2]))
+    error = jnp.maximum(1, jnp.maximum(jnp.abs(product[2]), jnp.abs(product[-1])) / jnp.abs(product[:2]))
     agree = _AGREE * jnp.max(jnp.where(known, others * error, 0), axis=1)
     apart = (ends > limit) & (ends > agree) & (ends > _SUDDEN * middle)
     return jnp.any(apart & (bend > noise) & (bend > _JUMP * ends), axis=0)
