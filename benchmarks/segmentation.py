@@ -6,7 +6,7 @@
   10 um to 1 mm and with soft contacts that give 0.3 to 1 mm (:mod:`benchmarks.segmentation_cases`);
 - the same with splines through random places for motion, slower and with fewer independent values;
 - the same with 10 to 20 s instead of 4 to 8 s a constraint;
-- the same with outliers, with repeated poses, and with the body frame 0.6 m away;
+- the same with outliers, with repeated or missing poses, and with the body frame 0.6 m away;
 - recordings of one constraint, in which no change may be found;
 - a pointer that pivots about eight points, with 0.1, 0.3 and 1 mm of noise;
 - real recordings in ``../shared/data``, if they are there;

@@ -21,6 +21,7 @@ class SegmentConstants(NamedTuple):
     # 1 / (2 B) for motion of bandwidth B
     motion_time: float = 0.5
     filled: float = 0.8  # longest gap that is filled, in motion times
+    missed: float = 1.5  # smallest mean motion in gaps, over that of the steps beside them
     cells: float = 5.0  # number of cells per motion time
     held: float = 1 / 30  # largest size of a held coordinate, as a fraction of the motion of the recording
     still: float = 1 / 50  # largest size of every coordinate of a still body, as the same fraction
