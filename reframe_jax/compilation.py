@@ -2,14 +2,15 @@
 
 import os
 from collections.abc import Callable
-from functools import partial
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial, wraps
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.program_cache import can_keep, load_or_export, platform_of
+from reframe_jax.program_cache import can_keep, load_or_export
 
 _T = TypeVar("_T")
 _LEVEL = "xla_backend_optimization_level"
@@ -22,54 +23,77 @@ On a CPU, programs compile in less than half the time (``python -m benchmarks.fi
 as fast. jax 0.11 cannot select the older code generator for a single program; the environment variable
 ``XLA_FLAGS=--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters`` does so for all programs.
 """
+_COMPILERS = ThreadPoolExecutor(os.cpu_count())
+_shapes_of = partial(jax.eval_shape, lambda tree: tree)
+PROGRAMS: dict[Any, Any] = {}  # may be emptied: programs are then compiled again
 
 
 class Program:
-    """A large function, compiled for calls outside of a trace, with the options above.
+    """A large function, compiled with the options above, and kept between processes by ``cache_programs``.
 
-    It is kept between processes, see :func:`reframe_jax.cache_programs`. Static arguments are given by name.
-    For calls inside of a trace, where JAX does not allow these options, there is ``in_trace``.
+    Called with shapes (``jax.ShapeDtypeStruct``), it starts its compilation in a thread and returns the
+    shapes of its results; see :class:`Pipeline`. JAX does not allow these options inside of a trace, where
+    the function is a part of the program that is traced. Static arguments are given by name.
+    """
+
+    def __init__(self, function: Callable[..., Any], static: tuple[str, ...]) -> None:
+        @wraps(function)
+        def precise(*arguments: Any, **static: Any) -> Any:
+            with jax.default_matmul_precision("highest"):  # a GPU would round single precision to ten bits
+                return function(*arguments, **static)
+
+        self.function = precise
+        self.in_trace = jax.jit(precise, static_argnames=static)
+
+    def __call__(self, *arguments: Any, **static: Any) -> Any:
+        """Call the program for these shapes, compiled before or now."""
+        leaves, tree = jax.tree.flatten(arguments)
+        if traced(leaves):
+            return self.in_trace(*arguments, **static)
+        key = self, *_key(leaves, tree, static)
+        if key not in PROGRAMS:
+            PROGRAMS[key] = self._compile(arguments, static)
+        compiled, results = PROGRAMS[key]
+        if isinstance(leaves[0], jax.ShapeDtypeStruct):
+            return results
+        return compiled.result()(*arguments)
+
+    def _compile(self, arguments: tuple[Any, ...], static: dict[str, Any]) -> tuple[Future[Any], Any]:
+        """Start the compilation; also return the shapes of the results."""
+        shapes, kept = _shapes_of(arguments), can_keep(static)
+        function = load_or_export(self.function, shapes, static) if kept else partial(self.function, **static)
+        lowered = jax.jit(function, compiler_options=COMPILER_OPTIONS).lower(*shapes)
+        return _COMPILERS.submit(lowered.compile), _shapes_of(lowered.out_info)
+
+
+class Pipeline:
+    """A function whose only computations are calls of programs, which are compiled side by side.
+
+    It is called with shapes first. While a program is compiled in a thread, Python traces the next one, so
+    the first answer comes in three quarters of the time. Static arguments are given by name.
     """
 
     def __init__(self, function: Callable[..., Any], static: tuple[str, ...]) -> None:
         self.function = function
-        self.in_trace = jax.jit(function, static_argnames=static)
         self.jitted = jax.jit(function, static_argnames=static, compiler_options=COMPILER_OPTIONS)
-        self._kept: dict[Any, tuple[Callable[..., Any], Any]] = {}
 
     def __call__(self, *arguments: Any, **static: Any) -> Any:
-        """Call the program for these shapes, compiled before or now."""
-        if not can_keep(static):
-            return self.jitted(*arguments, **static)
+        """Call the function, as one program for arrays that are bound to other devices than the first."""
         leaves, tree = jax.tree.flatten(arguments)
-        leaves = _unbound(leaves)
-        shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
-        key = tree, shapes, platform_of(leaves), tuple(sorted(static.items()))
-        if key not in self._kept:
-            call, result = load_or_export(self.function, arguments, static)
-            self._kept[key] = jax.jit(call, compiler_options=COMPILER_OPTIONS), jax.tree.structure(result)
-        call, structure = self._kept[key]
-        return jax.tree.unflatten(structure, call(*leaves))
+        if not traced(leaves):
+            bound = [leaf for leaf in leaves if isinstance(leaf, jax.Array) and leaf.committed]
+            if any(leaf.devices() != {jax.devices()[0]} for leaf in bound):
+                return self.jitted(*arguments, **static)
+            key = self, *_key(leaves, tree, static)
+            if key not in PROGRAMS:
+                self.function(*_shapes_of(arguments), **static)
+                PROGRAMS[key] = None
+        return self.function(*arguments, **static)
 
 
-def _unbound(leaves: list[Any]) -> list[Any]:
-    """Return arrays that are bound to the default CPU device as NumPy arrays, without a copy.
-
-    The results of kept programs are bound ("committed") to a device, other arrays are not. JAX would compile
-    a program of results once for each case.
-    """
-    if jax.config.jax_default_device is not None or jax.default_backend() != "cpu":  # type: ignore[attr-defined]
-        return leaves
-    usual = {jax.devices()[0]}
-    return [
-        np.asarray(leaf)
-        if isinstance(leaf, jax.Array)
-        and leaf.committed
-        and leaf.devices() == usual
-        and not jnp.issubdtype(leaf.dtype, jax.dtypes.extended)
-        else leaf
-        for leaf in leaves
-    ]
+def _key(leaves: list[Any], tree: Any, static: dict[str, Any]) -> Any:
+    shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+    return tree, shapes, in_float64(), jax.config.jax_default_device, *sorted(static.items())  # type: ignore[attr-defined]
 
 
 def in_float64() -> bool:

@@ -75,18 +75,18 @@ def _is_plain(value: Any) -> bool:
 
 def load_or_export(
     function: Callable[..., Any], arguments: tuple[Any, ...], static: dict[str, Any]
-) -> tuple[Callable[..., Any], Any]:
-    """A program of a function of pytrees of arrays: from the folder, or traced and written there.
+) -> Callable[..., Any]:
+    """Return a function of pytrees of arrays as a program from the folder, or traced and written there.
 
-    The static arguments must be such that :func:`can_keep` holds. The results are a function of the leaves of
-    ``arguments``, and the tree of its result with integers as leaves.
+    The arguments are shapes; the static arguments must be such that :func:`can_keep` holds.
     """
     leaves, tree = jax.tree.flatten(arguments)
-    platform = platform_of(leaves)
+    platform = "cuda" if jax.default_backend() == "gpu" else jax.default_backend()
     shapes = [(leaf.shape, str(leaf.dtype)) for leaf in leaves]
     functions = {k: f"{v.__module__}.{v.__qualname__}" for k, v in static.items() if inspect.isfunction(v)}
     name = function.__module__, function.__qualname__
-    what = _version(), platform, name, shapes, str(tree), sorted({**static, **functions}.items())
+    wide = jax.dtypes.canonicalize_dtype(float).name
+    what = _version(), platform, wide, name, shapes, str(tree), sorted({**static, **functions}.items())
     assert _folder is not None
     file = _folder / "programs" / hashlib.sha256(repr(what).encode()).hexdigest()
     kept = _read(file)
@@ -102,14 +102,13 @@ def load_or_export(
         exported = jax.export.export(jax.jit(of_leaves), platforms=[platform])(*leaves)
         kept = bytes(exported.serialize()), shape_of[-1]
         _write(file, kept)
-    return jax.export.deserialize(bytearray(kept[0])).call, kept[1]
+    program, results = jax.export.deserialize(bytearray(kept[0])), kept[1]
 
+    def call(*arguments: Any) -> Any:
+        found = program.call(*jax.tree.leaves(arguments))
+        return jax.tree.map(found.__getitem__, results)
 
-def platform_of(leaves: list[Any]) -> str:
-    """Return the platform on which JAX computes with arrays: that of the arrays, or the default one."""
-    devices = {d.platform for leaf in leaves if isinstance(leaf, jax.Array) for d in leaf.devices()}
-    platform = devices.pop() if len(devices) == 1 else jax.default_backend()
-    return "cuda" if platform == "gpu" else platform
+    return call
 
 
 @cache

@@ -44,6 +44,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import reframe_jax as rf
+from reframe_jax.compilation import PROGRAMS
 
 jax.config.update("jax_enable_x64", True)
 rf.cache_programs(os.environ["JAX_COMPILATION_CACHE_DIR"])
@@ -95,6 +96,7 @@ def _free_programs(request: pytest.FixtureRequest) -> Iterator[None]:
         _trim_memory()  # compiling leaves a quarter of it behind, free but not given back
     if _resident_memory() > _MOST_MEMORY:
         jax.clear_caches()
+        PROGRAMS.clear()
         gc.collect()
         _trim_memory()
 

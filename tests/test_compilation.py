@@ -13,7 +13,8 @@ import pytest
 
 import reframe_jax as rf
 from reframe_jax import compilation
-from reframe_jax.compilation import _take_row, _take_rows, index_leaves
+from reframe_jax.compilation import PROGRAMS, Pipeline, Program, _take_row, _take_rows, index_leaves
+from reframe_jax.identification.pipeline import prepare
 from reframe_jax.simulation import synthetic
 
 
@@ -124,6 +125,44 @@ def test_every_process_builds_the_same_program() -> None:
         done = subprocess.run(run, env=environment, check=True, capture_output=True, text=True)
         hashes.add(done.stdout.strip())
     assert len(hashes) == 1
+
+
+def test_all_programs_of_a_pipeline_are_traced_before_the_first_runs() -> None:
+    calls: list[str] = []
+
+    def double(x: jax.Array) -> dict[str, jax.Array]:
+        calls.append("trace double")
+        return {"twice": 2 * x}
+
+    def add(x: jax.Array, *, more: int) -> jax.Array:
+        calls.append("trace add")
+        return x + more
+
+    doubled, added = Program(double, ()), Program(add, ("more",))
+
+    def function(x: Any, *, more: int) -> Any:
+        twice = doubled(x)["twice"]
+        calls.append("shape" if isinstance(twice, jax.ShapeDtypeStruct) else "number")
+        return added(twice, more=more)
+
+    pipeline = Pipeline(function, ("more",))
+    for x in (np.arange(3.0), np.arange(3.0) + 1):
+        np.testing.assert_array_equal(pipeline(x, more=1), 2 * x + 1)
+    assert calls == ["trace double", "shape", "trace add", "number", "number"]
+    np.testing.assert_array_equal(jax.vmap(lambda x: pipeline(x, more=1))(np.eye(2)), 2 * np.eye(2) + 1)
+
+
+def test_error_bars_prepare_windows_with_the_program_of_identify() -> None:
+    poses = np.asarray(synthetic.simulate("K", jax.random.key(0), noise=1e-4).poses)
+
+    def programs() -> int:
+        return sum(program is prepare for program, *_ in PROGRAMS)
+
+    for windows in (poses, np.tile(poses, (20, 1, 1, 1))):
+        found = rf.identify(windows, dt=0.1)
+        before = programs()
+        rf.covariance(found, windows, dt=0.1)
+        assert programs() == before > 0
 
 
 def test_the_first_call_compiles_few_programs(caplog: pytest.LogCaptureFixture) -> None:

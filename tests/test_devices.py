@@ -55,6 +55,11 @@ SCRIPT = """
     for spec in (jax.P(), jax.P(None, None, None, None)):
         everywhere = by_thresholds(jax.device_put(poses, jax.NamedSharding(mesh, spec)), dt=0.1)
         np.testing.assert_allclose(everywhere.linear.norm, expected.linear.norm, rtol=1e-9)
+    # on another device than the first
+    second = jax.devices()[1]
+    there = by_thresholds(jax.device_put(poses[3], second), dt=0.1)
+    assert there.linear.norm.devices() == {second}
+    np.testing.assert_allclose(there.linear.norm, expected.linear.norm[3], rtol=1e-9)
 """
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax.identification import entry, inputs
+from reframe_jax.compilation import PROGRAMS
+from reframe_jax.identification import inputs, pipeline
 from reframe_jax.simulation import synthetic
 
 DT = 0.02
@@ -50,7 +51,7 @@ def test_sizes_are_few_and_fit():
 
 
 def programs():
-    return entry._program.jitted._cache_size() + len(entry._program._kept)
+    return sum(program is pipeline.prepare for program, *_ in PROGRAMS)
 
 
 def test_one_program_serves_all_lengths_that_are_padded_to_a_size(recording):

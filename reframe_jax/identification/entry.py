@@ -12,12 +12,12 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import COMPILER_OPTIONS, Program, inside_trace, narrow
+from reframe_jax.compilation import COMPILER_OPTIONS, inside_trace, narrow
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.classify import Thresholds
-from reframe_jax.identification.inputs import map_windows, run_in_pieces, take_poses, take_steps
+from reframe_jax.identification.inputs import run_in_pieces, run_in_trace, take_poses, take_steps
 from reframe_jax.identification.options import Options, Scales, check_options
-from reframe_jax.identification.pipeline import identify_windows
+from reframe_jax.identification.pipeline import CHUNK, Method, identify_windows
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.kinematics import Discretization
@@ -26,8 +26,6 @@ from reframe_jax.recordings.continuity import is_unordered
 from reframe_jax.recordings.lost import find_lost_poses
 from reframe_jax.recordings.recording import name_rows
 from reframe_jax.solvers import Solver
-
-_CHUNK = {"cpu": 32, "gpu": 16384}  # windows whose arrays fit the cache, or the memory
 
 
 def identify(
@@ -122,25 +120,20 @@ def identify_unchecked(
         dtype = jax.dtypes.canonicalize_dtype(array.dtype)
         steps = take_steps(array, times, dt).astype(dtype)
         level = None if thresholds is None else jax.tree.map(lambda t: jnp.asarray(t, dtype), thresholds)
-        if reach is not None:
-            reach = jnp.asarray(reach, dtype)
-        elif not inside_a_trace:
-            reach = np.asarray(np.nan, dtype)  # the default, so that the program is that of given bounds
+        reach = np.asarray(np.nan, dtype) if reach is None else jnp.asarray(reach, dtype)
         arrays = reach, level, key, allowed, samples
-        run = partial(
-            _program.in_trace if inside_a_trace else _program,
-            single_steps=bool(samples == 1),
-            exponent=exponent,
-            discretization=discretization,
-            solver=solver,
-        )
+        method = Method(bool(samples == 1), exponent, discretization, solver)
+        run = partial(identify_windows, arrays, method=method)
         if inside_a_trace:
-            found = run(array, steps, None, arrays, None)
+            found = run_in_trace(run, array, steps, None, CHUNK)
         elif array.ndim > 3 and _is_distributed(array):
-            found = _on_mesh(run, array, steps, arrays)
+            found = _on_mesh(array, steps, arrays, method)
         else:
             # velocities of single steps must not see the padding
-            found = _on_host(run, array, steps, arrays, pad=not (samples == 1 or options.by_steps))
+            pad = not (samples == 1 or options.by_steps)
+            found = run_in_pieces(run, array, steps, None, CHUNK, pad)
+            if array.ndim > 3:
+                found = replace(found, counted=found.counted[..., : array.shape[-3]])
     if inside_a_trace:
         return found
     found = narrow(found)
@@ -166,16 +159,6 @@ def _warn_of_lost_rows(poses: np.ndarray, times: Any) -> None:
         )
 
 
-def _on_host(run: Any, poses: Any, steps: Any, options: tuple[Any, ...], pad: bool) -> Identification:
-    """Identify windows (..., K+1, 4, 4) in pieces of few shapes, so that few programs are compiled."""
-
-    def of_piece(poses: Any, steps: Any, length: Any, _: None, number: Any) -> Identification:
-        return run(poses, steps, length, options, number)
-
-    found: Identification = run_in_pieces(of_piece, poses, steps, None, _CHUNK, pad)
-    return replace(found, counted=found.counted[..., : poses.shape[-3]]) if poses.ndim > 3 else found
-
-
 def _is_distributed(poses: Any) -> bool:
     """Whether a sharding distributes windows over devices, or over a mesh of one device."""
     sharding = poses.sharding if isinstance(poses, jax.Array) else None
@@ -183,7 +166,7 @@ def _is_distributed(poses: Any) -> bool:
     return over_mesh or (sharding is not None and len(sharding.device_set) > 1)
 
 
-def _on_mesh(run: Any, poses: jax.Array, steps: Any, options: tuple[Any, ...]) -> Identification:
+def _on_mesh(poses: jax.Array, steps: Any, options: Any, method: Method) -> Identification:
     """Identify windows on the devices that hold them, without communication between devices."""
     sharding = poses.sharding
     if not isinstance(sharding, NamedSharding) or any(axis is not None for axis in sharding.spec[1:]):
@@ -195,49 +178,17 @@ def _on_mesh(run: Any, poses: jax.Array, steps: Any, options: tuple[Any, ...]) -
     own = steps.ndim > 1
     if own:
         steps = jax.device_put(steps, NamedSharding(sharding.mesh, PartitionSpec(axis)))
-    program = _program_for_mesh(sharding.mesh, axis, own, *run.keywords.items())
-    return program(poses, steps, None, options, None)
+    return _program_for_mesh(sharding.mesh, axis, own, method)(poses, steps, options)
 
 
 @cache
-def _program_for_mesh(mesh: Mesh, axis: Any, own_steps: bool, *static: tuple[str, Any]) -> Any:
-    """Compile :func:`_identify_flat` for windows that are distributed over a mesh of devices."""
+def _program_for_mesh(mesh: Mesh, axis: Any, own_steps: bool, method: Method) -> Any:
+    """Compile ``identify_windows`` for windows that are distributed over a mesh of devices."""
+
+    def of_device(poses: jax.Array, steps: jax.Array, options: Any) -> Any:
+        return run_in_trace(partial(identify_windows, options, method=method), poses, steps, None, CHUNK)
+
     whole, part = PartitionSpec(), PartitionSpec(axis)
-    run = jax.shard_map(
-        partial(_identify_flat, **dict(static)),
-        mesh=mesh,
-        in_specs=(part, part if own_steps else whole, whole, whole, whole),
-        out_specs=part,
-        check_vma=False,
-    )
+    specs = part, part if own_steps else whole, whole
+    run = jax.shard_map(of_device, mesh=mesh, in_specs=specs, out_specs=part, check_vma=False)
     return jax.jit(run, compiler_options=COMPILER_OPTIONS)
-
-
-def _identify_flat(
-    poses: jax.Array,
-    steps: jax.Array,
-    length: jax.Array | None,
-    options: tuple[jax.Array | None, Thresholds | None, jax.Array | None, jax.Array, jax.Array],
-    number: jax.Array | None,
-    **static: Any,
-) -> Identification:
-    """Identify windows (..., K+1, 4, 4), one chunk after another; see :func:`run_in_pieces`.
-
-    The options are the bounds, the thresholds, the random key, the allowed entries (E,) bool, and the scales.
-    """
-    bounds, thresholds, key, *arrays = options
-    key = jax.random.key(0) if key is None else key
-    batch = poses.shape[:-3]
-    steps = jnp.broadcast_to(steps, (*batch, steps.shape[-1]))
-
-    def of_windows(windows: tuple[jax.Array, jax.Array]) -> Identification:
-        poses, steps = windows
-        count = jnp.full(len(poses), poses.shape[1] if length is None else length, jnp.int32)
-        with jax.default_matmul_precision("highest"):  # a GPU would round single precision to ten bits
-            return identify_windows(poses, steps, count, bounds, thresholds, key, *arrays, **static)
-
-    found: Identification = map_windows(of_windows, (poses, steps), len(batch), _CHUNK, number)
-    return found
-
-
-_program = Program(_identify_flat, ("single_steps", "exponent", "discretization", "solver"))

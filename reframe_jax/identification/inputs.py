@@ -4,6 +4,7 @@ import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import wraps
 from typing import Any
 
 import jax
@@ -150,13 +151,13 @@ def run_in_pieces(
     Up to eight windows are computed one by one, without a leading axis. The last piece repeats a window.
 
     Args:
-        run: function of the poses, the steps, the number of poses before the padding or None, ``others``, and
-            the number of windows to compute, of a window (None) or a piece. JAX compiles it once for each
-            shape of the poses.
+        run: function of one window or the windows of a piece, and of the number of windows to compute, None
+            for one window. Windows are their number of poses before the padding, their poses, steps and
+            ``others``. JAX compiles it once for each shape of the poses.
         poses: (..., K+1, 4, 4).
         steps: (K,) or (..., K) s.
         others: pytree of arrays with the leading axes of ``poses``.
-        chunks: see :func:`map_windows`; a piece is one or more chunks.
+        chunks: see :func:`in_chunks`; a piece is one or more chunks.
         pad: whether to pad windows to :func:`padded_size`, with copies of their last pose and step.
 
     Returns:
@@ -165,16 +166,15 @@ def run_in_pieces(
     """
     (*batch, length), count = poses.shape[:-2], math.prod(poses.shape[:-3])
     padded = padded_size(length, count <= _SINGLE) if pad else length
-    # windows with and without padding, and with equal and different times, use the same program
-    before = np.int32(length) if pad else None
+    # windows with equal and different times use the same program
     steps = (jnp if isinstance(steps, jax.Array) else np).broadcast_to(steps, (*batch, length - 1))
 
     def run_rows(rows: Any, number: Any = None) -> Any:
-        part = jax.tree.map(lambda a: a[rows], windows)
+        before, poses, steps, others = jax.tree.map(lambda a: a[rows], windows)
         fill = np.minimum(np.arange(padded), length - 1)
-        return run(part[0].take(fill, -3), part[1].take(fill[1:] - 1, -1), before, part[2], number)
+        return run((before, poses.take(fill, -3), steps.take(fill[1:] - 1, -1), others), number)
 
-    windows = poses, steps, others
+    windows = np.full(batch, length, np.int32), poses, steps, others
     if not batch:
         return run_rows(...)
     windows = jax.tree.map(lambda a: a.reshape(count, *a.shape[len(batch) :]), windows)
@@ -187,6 +187,16 @@ def run_in_pieces(
         chunk = chunks.get(jax.default_backend(), chunks["cpu"])
         found = _run_pieces(run_rows, count, chunk, chunk * max(1, _PIECE // (chunk * padded)))
     return found if len(batch) == 1 else jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
+
+
+def run_in_trace(
+    run: Callable[..., Any], poses: jax.Array, steps: jax.Array, others: Any, chunks: dict[str, int]
+) -> Any:
+    """Compute results for windows inside of a trace; the arguments are those of :func:`run_in_pieces`."""
+    batch = poses.shape[:-3]
+    steps = jnp.broadcast_to(steps, (*batch, steps.shape[-1]))
+    windows = np.full(batch, poses.shape[-3], np.int32), poses, steps, others
+    return in_chunks(lambda windows: run(windows, None), chunks)(windows, None)
 
 
 def _run_pieces(run_rows: Callable[[Any, Any], Any], count: int, chunk: int, size: int) -> Any:
@@ -224,35 +234,46 @@ def _join(parts: list[Any], numbers: tuple[int, ...], xp: Any = jnp) -> Any:
 _join_on_gpu = jax.jit(_join, static_argnums=1)  # eagerly, every shape would be a program; NumPy has none
 
 
-def map_windows(
-    function: Callable[..., Any], windows: Any, axes: int, chunks: dict[str, int], number: jax.Array | None
-) -> Any:
-    """Call a function of N windows for windows with any leading axes, one chunk of windows after another.
+def in_chunks(function: Callable[..., Any], chunks: dict[str, int]) -> Callable[..., Any]:
+    """Make a function of N windows one of windows with any leading axes, one chunk of windows after another.
 
-    The windows are a pytree of arrays with the same leading axes, whose number is ``axes``; the function
-    takes such a pytree with one leading axis. The results have the leading axes of the windows. ``chunks``
-    has the number of windows in a chunk, by the name of the backend. ``number`` is the number of windows to
-    compute, or None for all: results of the chunks after them are zeros, without a reverse derivative.
+    ``chunks`` has the number of windows in a chunk, by the name of the backend. Windows are a pytree of
+    arrays with the same leading axes; the first array has no other axes. The results have these axes too. The
+    second argument is the number of windows to compute, or None for all: results of the chunks after them are
+    zeros, without a reverse derivative. Further arguments are those of ``function``.
     """
-    batch, chunk = jax.tree.leaves(windows)[0].shape[:axes], chunks.get(jax.default_backend(), chunks["cpu"])
-    total, parts = math.prod(batch), -(-math.prod(batch) // chunk)
-    windows = jax.tree.map(lambda a: a.reshape(total, *a.shape[axes:]), windows)
-    if parts <= 1:
-        found = function(windows)
-    else:
-        fill = np.minimum(np.arange(parts * chunk), total - 1)
-        windows = jax.tree.map(lambda a: a[fill] if len(fill) > total else a, windows)
-        windows = jax.tree.map(lambda a: a.reshape(parts, chunk, *a.shape[1:]), windows)
-        if number is None:
-            found = jax.lax.map(function, windows)
+
+    @wraps(function)
+    def over(windows: Any, number: jax.Array | None, *others: Any, **static: Any) -> Any:
+        def of_chunk(windows: Any) -> Any:
+            return function(windows, *others, **static)
+
+        batch = jax.tree.leaves(windows)[0].shape
+        chunk, total = chunks.get(jax.default_backend(), chunks["cpu"]), math.prod(batch)
+        parts = -(-total // chunk)
+        windows = jax.tree.map(lambda a: a.reshape(total, *a.shape[len(batch) :]), windows)
+        if parts <= 1:
+            found = of_chunk(windows)
         else:
-            of_chunk = jax.jit(lambda i: function(jax.tree.map(lambda a: a[i], windows)))
-            first = jax.eval_shape(of_chunk, number)
-            found = jax.tree.map(lambda a: jnp.zeros((parts, *a.shape), a.dtype), first)
+            fill = np.minimum(np.arange(parts * chunk), total - 1)
+            windows = jax.tree.map(lambda a: a[fill] if len(fill) > total else a, windows)
+            windows = jax.tree.map(lambda a: a.reshape(parts, chunk, *a.shape[1:]), windows)
+            used = None if number is None else (number + chunk - 1) // chunk
+            found = _map_chunks(of_chunk, windows, parts, used)
+            found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:total], found)
+        return jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
 
-            def add(i: jax.Array, found: Any) -> Any:
-                return jax.tree.map(lambda a, own: a.at[i].set(own), found, of_chunk(i))
+    return over
 
-            found = jax.lax.fori_loop(0, (number + chunk - 1) // chunk, add, found)
-        found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:total], found)
-    return jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
+
+def _map_chunks(of_chunk: Callable[[Any], Any], windows: Any, parts: int, number: jax.Array | None) -> Any:
+    """Call a function for windows (parts, chunk, ...), and only for the first ``number`` parts if given."""
+    if number is None:
+        return jax.lax.map(of_chunk, windows)
+    of_part = jax.jit(lambda i: of_chunk(jax.tree.map(lambda a: a[i], windows)))
+    found = jax.tree.map(lambda a: jnp.zeros((parts, *a.shape), a.dtype), jax.eval_shape(of_part, number))
+
+    def add(i: jax.Array, found: Any) -> Any:
+        return jax.tree.map(lambda a, own: a.at[i].set(own), found, of_part(i))
+
+    return jax.lax.fori_loop(0, number, add, found)

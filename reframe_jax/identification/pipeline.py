@@ -1,59 +1,79 @@
-"""The steps of an identification, as pure functions of arrays.
+"""The steps of an identification, as programs.
 
 poses -> features, moments (:mod:`reframe_jax.model`) -> the most probable entry of the table -> its frames.
 """
 
+from typing import Any, NamedTuple
+
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.compilation import Pipeline, Program
 from reframe_jax.identification.classify import Thresholds
+from reframe_jax.identification.inputs import in_chunks
 from reframe_jax.identification.paper import paper_origins, step_moments
 from reframe_jax.identification.preparation import Prepared, prepare_windows
 from reframe_jax.identification.report import report_windows
 from reframe_jax.identification.results import Identification
-from reframe_jax.model.solve import choose_scales, solve_windows
+from reframe_jax.model.solve import Solved, choose_scales, solve_windows
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.solvers import Solver
 
 Array = jax.Array
+CHUNK = {"cpu": 32, "gpu": 16384}  # windows whose arrays fit the cache, or the memory
 
 
-def identify_windows(
-    poses: Array,
-    steps: Array,
-    count: Array,
-    bounds: Array | None,
-    thresholds: Thresholds | None,
-    key: Array,
-    allowed: Array,
-    scales: Array,
-    *,
-    single_steps: bool,
-    exponent: float,
-    discretization: Discretization,
-    solver: Solver | None,
-) -> Identification:
-    """Identify N windows of checked poses.
+class Method(NamedTuple):
+    """How to search for origins: by default over time scales, otherwise by :func:`.paper_origins`."""
 
-    The first arguments, ``scales`` and ``single_steps`` are those of :func:`.prepare_windows`, the thresholds
-    those of :func:`.report_windows`. The key, exponent, discretization and solver are those of the paper's
-    search (:func:`.paper_origins`), without which origins are searched over time scales. ``allowed`` (E,)
-    bool states which entries may be reported.
-    """
-    window = prepare_windows(poses, steps, count, bounds, scales, single_steps)
-    fixed: Prepared = jax.lax.stop_gradient(window)
-    # amplitudes are those of the whole recording, whatever the scales of the search
-    used, weight = choose_scales(fixed.moments, fixed.noise, scales)
-    of_steps = origins = None
-    if single_steps or exponent != 0 or solver is not None or discretization != "chord":
-        of_steps = step_moments(window, discretization)
-        origins = paper_origins(fixed, jax.lax.stop_gradient(of_steps[1]), exponent, solver, key)
+    single_steps: bool
+    exponent: float
+    discretization: Discretization
+    solver: Solver | None
+
+
+def _identify(options: Any, windows: Any, number: Array | None, *, method: Method) -> Identification:
+    """Identify windows of checked poses; the windows and their number are those of :func:`.run_in_pieces`."""
+    bounds, thresholds, key, allowed, scales = options  # arrays; which entries (E,) are allowed, as booleans
+    window = prepare(windows[:3], number, bounds, scales, single_steps=method.single_steps)
     compare = thresholds is None
-    searched = used.of_steps() if single_steps and not compare else used
-    solved = solve_windows(
-        fixed.features, fixed.moments, searched, weight, fixed.noise, fixed.box, allowed, origins, compare
-    )
-    live = window.moments._replace(details=used.details)
-    of_steps = of_steps if single_steps else None
+    solution = _solve(window, number, key, allowed, scales, compare=compare, method=method)
+    found: Identification = _report((window, *solution), number, thresholds, allowed, method=method)
+    return found
+
+
+def _solve_windows(
+    window: Prepared, key: Array | None, allowed: Array, scales: Array, *, compare: bool, method: Method
+) -> tuple[Array, Array, Solved]:
+    """Solve windows by :func:`.solve_windows`; also return the details and the weights of their scales."""
+    single_steps, exponent, discretization, solver = method
+    window = jax.lax.stop_gradient(window)
+    # amplitudes are those of the whole recording, whatever the scales of the search
+    used, weight = choose_scales(window.moments, window.noise, scales)
+    origins, searched = None, used.of_steps() if single_steps and not compare else used
+    if single_steps or exponent != 0 or solver is not None or discretization != "chord":
+        key = jax.random.key(0) if key is None else key
+        origins = paper_origins(window, step_moments(window, discretization)[1], exponent, solver, key)
+    data = window.features, window.moments, searched, weight, window.noise, window.box
+    return used.details, weight, solve_windows(*data, allowed, origins, compare)
+
+
+def _report_windows(
+    windows: tuple[Prepared, Array, Array, Solved],
+    thresholds: Thresholds | None,
+    allowed: Array,
+    *,
+    method: Method,
+) -> Identification:
+    """Report solved windows by :func:`.report_windows`, with derivatives by the poses."""
+    window, details, weight, solved = windows
+    live = window.moments._replace(details=details)
+    of_steps = step_moments(window, method.discretization) if method.single_steps else None
     assumed = ~jnp.all(allowed)
-    return report_windows(window, live, weight, solved, thresholds, exponent, of_steps, assumed)
+    return report_windows(window, live, weight, solved, thresholds, method.exponent, of_steps, assumed)
+
+
+prepare = Program(in_chunks(prepare_windows, CHUNK), ("single_steps",))
+_solve = Program(in_chunks(_solve_windows, CHUNK), ("compare", "method"))
+_report = Program(in_chunks(_report_windows, CHUNK), ("method",))
+identify_windows = Pipeline(_identify, ("method",))

@@ -38,23 +38,18 @@ class Prepared(NamedTuple):
 
 
 def prepare_windows(
-    poses: Array,
-    steps: Array,
-    count: Array,
-    bounds: Array | None,
-    scales: Array,
-    single_steps: bool = False,
+    windows: tuple[Array, Array, Array], bounds: Array, scales: Array, *, single_steps: bool
 ) -> Prepared:
     """Check windows, leave out outliers, estimate the noise, and compute the moments of the features.
 
     Args:
-        poses: (N, P, 4, 4) m.
-        steps: (N, K) durations of the steps, s.
-        count: (N,) number of poses in each window; the poses after them are padding.
-        bounds: () m, half the width of the cube of origins; None or NaN for the default.
+        windows: (N,) number of poses in each window, after which poses are padding; poses (N, P, 4, 4), m;
+            and durations of the steps (N, K), s.
+        bounds: () m, half the width of the cube of origins; NaN for the default.
         scales: () int, see :func:`.take_scales`. Only with -1, outliers are left out and gaps have an effect.
         single_steps: whether the scales are 1, for a smaller program.
     """
+    count, poses, steps = windows
     status = window_status(poses, steps)
     failed = status >= 10
     # a failed window gets valid numbers, so that no NaN enters a derivative
@@ -94,8 +89,7 @@ def prepare_windows(
     sections = None if single_steps else section.T
     moments = scale_moments(features.values, own.T, count, sections, scales == 0)
     box = jnp.maximum(REACH, REACH * distance)
-    if bounds is not None:
-        box = jnp.where(jnp.isnan(bounds), box, jnp.asarray(bounds, box.dtype))
+    box = jnp.where(jnp.isnan(bounds), box, jnp.asarray(bounds, box.dtype))
     return Prepared(status, centre, poses, counted.T, sections, gaps.T, count, noise, features, moments, box)
 
 

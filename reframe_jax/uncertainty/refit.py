@@ -14,14 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import Program, inside_trace, narrow, traced
+from reframe_jax.compilation import Pipeline, Program, inside_trace, narrow, traced
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
 from reframe_jax.geometry.rotations import rotation_exp, vee
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.frames import AngularFrame, LinearFrame
-from reframe_jax.identification.inputs import map_windows, run_in_pieces, take_poses, take_steps
+from reframe_jax.identification.inputs import in_chunks, run_in_pieces, run_in_trace, take_poses, take_steps
 from reframe_jax.identification.options import Scales, take_scales
-from reframe_jax.identification.preparation import Prepared, prepare_windows
+from reframe_jax.identification.pipeline import prepare
+from reframe_jax.identification.preparation import Prepared
 from reframe_jax.identification.results import Identification
 from reframe_jax.model.fit import Data, Parameters, coordinates_along, fit_entry, ground_axes, move
 from reframe_jax.model.moments import Moments, scale_moments
@@ -118,48 +119,38 @@ def over_windows(
         estimate = jax.tree.map(
             lambda x: xp.asarray(x, array.dtype if jnp.issubdtype(x.dtype, jnp.floating) else None), estimate
         )
-        program = _program.in_trace if tracing else _program
-        run = partial(program, take_scales(scales, array.shape[-3]), function=function, **static)
+        bounds = np.asarray(np.nan, array.dtype)  # the default
+        run = partial(
+            _over_windows, take_scales(scales, array.shape[-3]), bounds, function=function, **static
+        )
         if tracing:
-            result = run(array, steps, None, estimate, None)
+            result = run_in_trace(run, array, steps, estimate, _CHUNK)
         else:
             result = run_in_pieces(run, array, steps, estimate, _CHUNK, True)
     return result if tracing else narrow(result)
 
 
-def _run(
-    scales: Any,
-    poses: Any,
-    steps: Any,
-    length: Any,
-    found: Estimate,
-    number: Any,
-    *,
-    function: Any,
-    **static: Any,
-) -> Any:
-    """Prepare poses (..., K+1, 4, 4) for the fit, and call the function; see :func:`run_in_pieces`."""
-    batch = poses.shape[:-3]
-    steps = jnp.broadcast_to(steps, (*batch, steps.shape[-1]))
-
-    def of_windows(given: tuple[Array, Array, Estimate]) -> Any:
-        poses, steps, found = given
-        count = jnp.full(len(poses), poses.shape[1] if length is None else length, jnp.int32)
-        with jax.default_matmul_precision("highest"):
-            window = jax.lax.stop_gradient(prepare_windows(poses, steps, count, None, scales))
-            used, _ = choose_scales(window.moments, window.noise, scales)
-            mean = window.features.mean_rotation
-            entry = jax.vmap(entries_at)(jnp.maximum(found.entry_code, 0))
-            axes = rotation_exp(jnp.stack([found.angular.rotvec, found.linear.rotvec], axis=1))
-            start = jax.vmap(_start)(found, axes, window.centre, mean, entry)
-            matrix = window.features.mean_matrix
-            windows = Windows(window.box, used, matrix, mean, entry, start, found, axes)
-            return function(window, windows, scales, **static)
-
-    return map_windows(of_windows, (poses, steps, found), len(batch), _CHUNK, number)
+def _refit(scales: Array, bounds: Array, windows: Any, number: Array | None, **static: Any) -> Any:
+    """Prepare windows for the fit, and call the function; for the windows, see :func:`run_in_pieces`."""
+    *poses, found = windows
+    window = prepare(tuple(poses), number, bounds, scales, single_steps=False)
+    return _call((window, found), number, scales, **static)
 
 
-_program = Program(_run, ("function", "parts"))
+def _call_function(windows: tuple[Prepared, Estimate], scales: Array, *, function: Any, **static: Any) -> Any:
+    """Call a function of N windows for prepared windows."""
+    window, found = jax.lax.stop_gradient(windows[0]), windows[1]
+    used, _ = choose_scales(window.moments, window.noise, scales)
+    mean = window.features.mean_rotation
+    entry = jax.vmap(entries_at)(jnp.maximum(found.entry_code, 0))
+    axes = rotation_exp(jnp.stack([found.angular.rotvec, found.linear.rotvec], axis=1))
+    start = jax.vmap(_start)(found, axes, window.centre, mean, entry)
+    fits = Windows(window.box, used, window.features.mean_matrix, mean, entry, start, found, axes)
+    return function(window, fits, scales, **static)
+
+
+_call = Program(in_chunks(_call_function, _CHUNK), ("function", "parts"))
+_over_windows = Pipeline(_refit, ("function", "parts"))
 
 
 def refit_windows(window: Prepared, windows: Windows, scales: Array, parts: str) -> Refit:
