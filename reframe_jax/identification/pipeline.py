@@ -15,12 +15,15 @@ from reframe_jax.identification.paper import paper_origins, step_moments
 from reframe_jax.identification.preparation import Prepared, prepare_windows
 from reframe_jax.identification.report import report_windows
 from reframe_jax.identification.results import Identification
-from reframe_jax.model.solve import Solved, choose_scales, solve_windows
+from reframe_jax.model.solve import Solved, choose_scales, compare_windows, search_windows
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.solvers import Solver
 
 Array = jax.Array
 CHUNK = {"cpu": 32, "gpu": 16384}  # windows whose arrays fit the cache, or the memory
+
+
+_Solution = tuple[Prepared, Array, Array, Solved]  # details and weights of the scales, after the windows
 
 
 class Method(NamedTuple):
@@ -37,15 +40,18 @@ def _identify(options: Any, windows: Any, number: Array | None, *, method: Metho
     bounds, thresholds, key, allowed, scales = options  # arrays; which entries (E,) are allowed, as booleans
     window = prepare(windows[:3], number, bounds, scales, single_steps=method.single_steps)
     compare = thresholds is None
-    solution = _solve(window, number, key, allowed, scales, compare=compare, method=method)
-    found: Identification = _report((window, *solution), number, thresholds, allowed, method=method)
+    details, weight, solved = _search(window, number, key, scales, compare=compare, method=method)
+    if compare:
+        solved = solved._replace(**_compare((window, details, weight, solved), number, allowed))
+    solution = window, details, weight, solved
+    found: Identification = _report(solution, number, thresholds, allowed, method=method)
     return found
 
 
-def _solve_windows(
-    window: Prepared, key: Array | None, allowed: Array, scales: Array, *, compare: bool, method: Method
+def _search_windows(
+    window: Prepared, key: Array | None, scales: Array, *, compare: bool, method: Method
 ) -> tuple[Array, Array, Solved]:
-    """Solve windows by :func:`.solve_windows`; also return the details and the weights of their scales."""
+    """Search by :func:`.search_windows`; also return the details and the weights of the scales."""
     single_steps, exponent, discretization, solver = method
     window = jax.lax.stop_gradient(window)
     # amplitudes are those of the whole recording, whatever the scales of the search
@@ -54,16 +60,19 @@ def _solve_windows(
     if single_steps or exponent != 0 or solver is not None or discretization != "chord":
         key = jax.random.key(0) if key is None else key
         origins = paper_origins(window, step_moments(window, discretization)[1], exponent, solver, key)
-    data = window.features, window.moments, searched, weight, window.noise, window.box
-    return used.details, weight, solve_windows(*data, allowed, origins, compare)
+    return used.details, weight, search_windows(window.features, searched, window.box, origins)
+
+
+def _compare_windows(windows: _Solution, allowed: Array) -> dict[str, Any]:
+    """Compare entries by :func:`.compare_windows`."""
+    window, details, weight, solved = jax.lax.stop_gradient(windows)
+    used = window.moments._replace(details=details)
+    data = window.features, window.moments, used, weight, window.noise, window.box
+    return compare_windows(*data, allowed, solved)
 
 
 def _report_windows(
-    windows: tuple[Prepared, Array, Array, Solved],
-    thresholds: Thresholds | None,
-    allowed: Array,
-    *,
-    method: Method,
+    windows: _Solution, thresholds: Thresholds | None, allowed: Array, *, method: Method
 ) -> Identification:
     """Report solved windows by :func:`.report_windows`, with derivatives by the poses."""
     window, details, weight, solved = windows
@@ -74,6 +83,7 @@ def _report_windows(
 
 
 prepare = Program(in_chunks(prepare_windows, CHUNK), ("single_steps",))
-_solve = Program(in_chunks(_solve_windows, CHUNK), ("compare", "method"))
+_search = Program(in_chunks(_search_windows, CHUNK), ("compare", "method"))
+_compare = Program(in_chunks(_compare_windows, CHUNK), ())
 _report = Program(in_chunks(_report_windows, CHUNK), ("method",))
 identify_windows = Pipeline(_identify, ("method",))

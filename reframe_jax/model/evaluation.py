@@ -59,7 +59,7 @@ def window_statistics(
     paths: Array,
     noise: Array,
     origins: Array,
-    universal_axes: tuple[Array, Array],
+    universal_axes: Array,
 ) -> WindowStatistics:
     """Collect the statistics of N windows.
 
@@ -70,7 +70,7 @@ def window_statistics(
         paths: (3, 3, S, 5, N) m^2, moments of the translations in ``PATHS`` at ``origins``.
         noise: (N, 2) m and rad, white noise of a pose.
         origins: (3, 4, N) m, origin of every linear type.
-        universal_axes: axes a and b of the universal joint, (3, N) each.
+        universal_axes: (2, 3, N) axes a and b of the universal joint.
     """
     rotations = jnp.moveaxis(features.to_rotation[:, :, z.TURN_GROUND], 0, -1).transpose(1, 2, 0, 3)
     levers = _squared_levers(features, rotations, origins)
@@ -81,7 +81,7 @@ def window_statistics(
         mean=jnp.moveaxis(features.mean_rotation, 0, -1),
         rotations=rotations,
         levers=levers,
-        universal=_universal_moments(*universal_axes, moments.products, features),
+        universal=_universal_moments(universal_axes[0], universal_axes[1], moments.products, features),
     )
 
 

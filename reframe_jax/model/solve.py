@@ -6,7 +6,7 @@ have components first, then scales, entries and windows.
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,10 +21,10 @@ from reframe_jax.model.evidence import Amplitudes, compare
 from reframe_jax.model.features import Features
 from reframe_jax.model.fit import ASSUMED_STEPS, STEPS, Parameters
 from reframe_jax.model.moments import Moments
-from reframe_jax.model.rows import EntryMoments, Forms, crossed_frame, entry_moments, in_body, problem_of
+from reframe_jax.model.rows import Forms, crossed_frame, entry_moments, in_body, problem_of
 from reframe_jax.model.search import lowest_origins, norm_at, polynomials, unexplained_covariance
 from reframe_jax.model.starts import Axes, common_frames, entry_starts, universal_axes
-from reframe_jax.model.steps import Unknowns, descend
+from reframe_jax.model.steps import Unknowns, descend, path_of
 from reframe_jax.model.table import ENTRIES, LINEAR_KINDS, ROWS, TABLE, Table, entries_at
 
 Array = jax.Array
@@ -45,8 +45,9 @@ class Solved(NamedTuple):
         linear_axes: (N, 4, 3, 3) common axes of every linear type, by ascending amplitude.
         angular_axes: (N, 2, 3, 3) common axes of the rotation in ground and body, by ascending amplitude.
         starts: starting parameters of every entry, with axes (N, E) in front.
-        chosen: (N, C) codes of the fitted entries, and of those without parameters.
+        chosen: (N, C) codes of the fitted entries, -1 where too few are allowed, and of the exact ones.
         tilt_scale: (N,) rad, size of the tilt in the fit.
+        universal: (N, 2, 3) axes of a universal joint: a of the ground and b of the body.
 
     Without a comparison of entries, the probabilities are NaN, and ``parameters`` and ``chosen`` are None.
     """
@@ -60,6 +61,7 @@ class Solved(NamedTuple):
     starts: Parameters
     chosen: Array | None
     tilt_scale: Array
+    universal: Array
 
 
 def choose_scales(moments: Moments, noise: Array, scales: Array) -> tuple[Moments, Array]:
@@ -91,30 +93,14 @@ def choose_scales(moments: Moments, noise: Array, scales: Array) -> tuple[Moment
     return moments.using(jnp.where(scales > 0, asked, keep)), moments.scale_weight * keep
 
 
-def solve_windows(
-    features: Features,
-    moments: Moments,
-    used: Moments,
-    scale_weight: Array,
-    noise: Array,
-    box: Array,
-    allowed: Array,
-    origins: Array | None = None,
-    compare_entries: bool = True,
-) -> Solved:
-    """Search, fit and compare entries of the table.
+def search_windows(features: Features, used: Moments, box: Array, origins: Array | None) -> Solved:
+    """Search the origins of the linear types, and the starting parameters of the entries of the table.
 
     Args:
         features: features of N windows.
-        moments: moments of all scales.
-        used: the same moments, with the weights of the scales in the search and in the fit.
-        scale_weight: (N, S) weights of the scales in an amplitude.
-        noise: (N, 2) m and rad, white noise of every component of a pose.
+        used: moments of all scales, with the weights of the scales in the search and in the fit.
         box: (N,) m, half the width of the cube in which origins lie.
-        allowed: (E,) bool, entries that may be chosen.
         origins: (N, 4, 3) m, origin of every linear type from another search; None to search here.
-        compare_entries: whether to compare entries; otherwise only the starting parameters and the origins of
-            the linear types are computed.
     """
     products = jnp.moveaxis(used.products, (0, 1), (3, 2))
     details, used_weight = used.details.T, used.scale_weight.T
@@ -127,15 +113,13 @@ def solve_windows(
         place = jnp.moveaxis(origins, (0, 1), (2, 1))
         norm = norm_at(coefficients, details, place)
     mean = jnp.moveaxis(features.mean_rotation, 0, -1)
-    moments_of_paths = entry_moments(products, mean)
-    forms = moments_of_paths.at(jnp.pad(place, ((0, 0), (0, 1), (0, 0))))  # the position has no origin
-    paths = forms.path[:, :, :, : len(LinearType)]
+    _, paths = path_of(entry_moments(products, mean).paths[..., : len(LinearType), :], place)
     turns = jnp.stack([products[r, r] for r in (z.TURN_GROUND, z.TURN_BODY)], axis=3)
     axes = common_frames(paths, turns, products[z.POSITION, z.POSITION], details, used_weight)
     crossed = universal_axes(axes, products, details, jnp.moveaxis(features.mean_matrix, 0, -1))
     starts = entry_starts(place, axes, crossed, all_scales, mean)
-    solved = Solved(
-        log_probability=jnp.full((len(noise), len(ENTRIES)), jnp.nan, products.dtype),
+    return Solved(
+        log_probability=jnp.full((len(box), len(ENTRIES)), jnp.nan, products.dtype),
         parameters=None,
         origins=_windows_first(place),
         norm=norm.T,
@@ -144,24 +128,8 @@ def solve_windows(
         starts=_start_parameters(starts, mean),
         chosen=None,
         tilt_scale=_tilt_scale(axes, all_scales),
+        universal=jnp.moveaxis(jnp.stack(crossed), -1, 0),
     )
-    if not compare_entries:
-        return solved
-    windows = window_statistics(features, moments, scale_weight, forms.path, noise, place, crossed)
-    problem = _Comparison(moments_of_paths, forms, starts, details, solved.tilt_scale, box)
-    log_probability, chosen, parameters = _compare_entries(problem, windows, allowed)
-    return solved._replace(log_probability=log_probability.T, parameters=parameters, chosen=chosen.T)
-
-
-class _Comparison(NamedTuple):
-    """Data of the comparison of entries."""
-
-    moments: EntryMoments  # of every kind of translation
-    forms: Forms  # the same moments about the origins of the search
-    starts: Unknowns  # of every entry, with axes (E, N) last
-    details: Array  # (S, N) independent details of every scale
-    tilt_scale: Array  # (N,) rad
-    box: Array  # (N,) m
 
 
 class _Evaluated(NamedTuple):
@@ -173,14 +141,39 @@ class _Evaluated(NamedTuple):
     evidence: Array
 
 
-def _compare_entries(
-    problem: _Comparison, windows: WindowStatistics, allowed: Array
-) -> tuple[Array, Array, Parameters]:
-    """Log probability (E, N) of all entries; codes (C, N) and parameters (N, C, ...) of the chosen ones.
+def compare_windows(
+    features: Features,
+    moments: Moments,
+    used: Moments,
+    scale_weight: Array,
+    noise: Array,
+    box: Array,
+    allowed: Array,
+    solved: Solved,
+) -> dict[str, Any]:
+    """Fit and compare the entries: the fields of :class:`Solved` that the search leaves open.
 
-    Where fewer than C entries are allowed, the other codes are -1.
+    Args:
+        features: features of N windows.
+        moments: moments of all scales.
+        used: the same moments, with the weights of the scales in the search and in the fit.
+        scale_weight: (N, S) weights of the scales in an amplitude.
+        noise: (N, 2) m and rad, white noise of every component of a pose.
+        box: (N,) m, half the width of the cube in which origins lie.
+        allowed: (E,) bool, entries that may be chosen.
+        solved: result of the search.
     """
-    details, number = problem.details, len(ENTRIES)
+    products = jnp.moveaxis(used.products, (0, 1), (3, 2))
+    mean = jnp.moveaxis(features.mean_rotation, 0, -1)
+    place = jnp.moveaxis(solved.origins, (0, 1), (2, 1))
+    moments_of_paths = entry_moments(products, mean)
+    at_origins = moments_of_paths.at(jnp.pad(place, ((0, 0), (0, 1), (0, 0))))  # the position has no origin
+    crossed = jnp.moveaxis(solved.universal, 0, -1)
+    windows = window_statistics(features, moments, scale_weight, at_origins.path, noise, place, crossed)
+    starts = Unknowns(*(jnp.moveaxis(leaf, (0, 1), (-1, -2)) for leaf in solved.starts))
+    turned = times(mean[:, :, None], starts.frame)
+    starts = starts._replace(frame=jnp.where(in_body(TABLE)[:, None], starts.frame, turned))
+    details, number = used.details.T, len(ENTRIES)
     # entries without parameters, such as "fixed", are exact from the start
     exact = np.flatnonzero(TABLE.parameters == 0).astype(np.int32)
     fittable = allowed & (TABLE.parameters > 0)
@@ -192,8 +185,8 @@ def _compare_entries(
         """Return the next block of entries, at their starting parameters."""
         block = codes[r]
         paths = jnp.asarray(TABLE.path)[block]
-        start = jax.tree.map(lambda leaf: jnp.take(leaf, block, axis=-2, mode="clip"), problem.starts)
-        forms = jax.tree.map(lambda leaf: jnp.take(leaf, paths, axis=-2, mode="clip"), problem.forms)
+        start = jax.tree.map(lambda leaf: jnp.take(leaf, block, axis=-2, mode="clip"), starts)
+        forms = jax.tree.map(lambda leaf: jnp.take(leaf, paths, axis=-2, mode="clip"), at_origins)
         return jnp.broadcast_to(block[:, None], (CANDIDATES, details.shape[1])), forms, start
 
     def fit(_: Array, rounds: _Evaluated) -> tuple[Array, Forms, Unknowns]:
@@ -202,11 +195,11 @@ def _compare_entries(
         rank = jnp.where(fittable[:, None], log_probability(screened, _EVERY, _PLACED), -jnp.inf)
         best = jax.lax.top_k(rank.T, CANDIDATES)[1].T
         entries = entries_at(best)
-        start = jax.tree.map(lambda leaf: pick(leaf, best, -2), problem.starts)
-        moments = problem.moments.pick(entries.path)
-        fitted = problem_of(moments, details[:, None], entries, problem.tilt_scale, problem.box, entries.tied)
+        start = jax.tree.map(lambda leaf: pick(leaf, best, -2), starts)
+        of_entries = moments_of_paths.pick(entries.path)
+        fitted = problem_of(of_entries, details[:, None], entries, solved.tilt_scale, box, entries.tied)
         at = descend(fitted, start, steps)
-        return best, moments.at(at.origin), at
+        return best, of_entries.at(at.origin), at
 
     def log_probability(entries: _Evaluated, table: Table, standard: np.ndarray) -> Array:
         return compare(entries.evidence, entries.amplitudes, entries.at.pitch, table, standard)
@@ -246,9 +239,10 @@ def _compare_entries(
     others = jnp.broadcast_to(jnp.where(allowed[exact], exact, -1)[:, None], (len(exact), details.shape[1]))
     codes = jnp.concatenate([fitted.codes, others])
     at = jax.tree.map(
-        lambda one, other: jnp.concatenate([one, other[..., exact, :]], axis=-2), fitted.at, problem.starts
+        lambda one, other: jnp.concatenate([one, other[..., exact, :]], axis=-2), fitted.at, starts
     )
-    return everywhere, codes, _parameters(at, entries_at(codes), windows)
+    parameters = _parameters(at, entries_at(codes), windows)
+    return {"log_probability": everywhere.T, "parameters": parameters, "chosen": codes.T}
 
 
 def _flat(leaf: Array) -> Array:

@@ -50,7 +50,7 @@ def find_pieces(cells: Cells) -> list[Piece]:
     bank, coverage = first, known
     tried, done = first.take([]), set[tuple[int, int]]()
     for _ in range(_ROUNDS):
-        path, _evidence = likeliest(coverage, cells.price)
+        path = likeliest(coverage, cells.price)
         edges = [0, *(np.flatnonzero(np.diff(path)) + 1).tolist(), number]
         spans = _neighbours(edges)
         new = np.array(sorted(spans - done)).reshape(-1, 2)

@@ -60,11 +60,10 @@ def columns_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return column
 
 
-def likeliest(coverage: Coverage, price: float) -> tuple[np.ndarray, float]:
+def likeliest(coverage: Coverage, price: float) -> np.ndarray:
     """Find the sequence of models with the largest log evidence, of which each use of a model costs a price.
 
-    The result is the index of the model of each cell, (N,), -1 for free motion, which has the evidence 0; and
-    the total log evidence.
+    The result is the index of the model of each cell, (N,), -1 for free motion, which has the evidence 0.
     """
     gain, column, first = coverage
     number, width = gain.shape
@@ -95,4 +94,4 @@ def likeliest(coverage: Coverage, price: float) -> tuple[np.ndarray, float]:
             path[k] = own[bisect_right(first[own], k) - 1]
             if not stayed[k, here]:
                 here = FREE
-    return path, best
+    return path
