@@ -13,15 +13,16 @@ import numpy as np
 from reframe_jax.program_cache import can_keep, load_or_export
 
 _T = TypeVar("_T")
-_LEVEL = "xla_backend_optimization_level"
 OLD_EMITTERS = jax.__version_info__ < (0, 11)
-COMPILER_OPTIONS: dict[str, int | bool] = {"xla_cpu_use_fusion_emitters": False} if OLD_EMITTERS else {}
-COMPILER_OPTIONS |= {} if _LEVEL in os.environ.get("XLA_FLAGS", "") else {_LEVEL: 2}
-"""Options of ``jax.jit`` for large programs outside of a trace; a level in ``XLA_FLAGS`` wins.
+_FASTER: dict[str, int | bool] = {"xla_backend_optimization_level": 2, "xla_gpu_enable_triton_gemm": False}
+_FASTER |= {"xla_gpu_experimental_enable_fusion_autotuner": False}
+_FASTER |= {"xla_cpu_use_fusion_emitters": False} if OLD_EMITTERS else {}
+COMPILER_OPTIONS = {name: _FASTER[name] for name in _FASTER if name not in os.environ.get("XLA_FLAGS", "")}
+"""Options of ``jax.jit`` for large programs outside of a trace; those in ``XLA_FLAGS`` win.
 
-On a CPU, programs compile in less than half the time (``python -m benchmarks.first_answer``), and are about
-as fast. jax 0.11 cannot select the older code generator for a single program; the environment variable
-``XLA_FLAGS=--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters`` does so for all programs.
+Programs compile in less than half the time on a CPU (``python -m benchmarks.first_answer``), and are about as
+fast; on a GPU in two thirds of the time, and are 5 % slower. jax 0.11 on a CPU cannot select the older code
+generator for one program: ``XLA_FLAGS=--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters``.
 """
 _COMPILERS = ThreadPoolExecutor(os.cpu_count())
 _shapes_of = partial(jax.eval_shape, lambda tree: tree)

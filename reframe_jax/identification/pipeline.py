@@ -39,9 +39,8 @@ def _identify(options: Any, windows: Any, number: Array | None, *, method: Metho
     """Identify windows of checked poses; the windows and their number are those of :func:`.run_in_pieces`."""
     bounds, thresholds, key, allowed, scales = options  # arrays; which entries (E,) are allowed, as booleans
     window = prepare(windows[:3], number, bounds, scales, single_steps=method.single_steps)
-    compare = thresholds is None
-    details, weight, solved = _search(window, number, key, scales, compare=compare, method=method)
-    if compare:
+    details, weight, solved = _search(window, number, key, scales, compare=thresholds is None, method=method)
+    if thresholds is None:
         solved = solved._replace(**_compare((window, details, weight, solved), number, allowed))
     solution = window, details, weight, solved
     found: Identification = _report(solution, number, thresholds, allowed, method=method)
