@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial, wraps
 from typing import Any, TypeVar
 
@@ -33,7 +33,7 @@ class Program:
     """A large function, compiled with the options above, and kept between processes by ``cache_programs``.
 
     Called with shapes (``jax.ShapeDtypeStruct``), it starts its compilation in a thread and returns the
-    shapes of its results; see :class:`Pipeline`. JAX does not allow these options inside of a trace, where
+    shapes of its results; see :func:`pipeline`. JAX does not allow these options inside of a trace, where
     the function is a part of the program that is traced. Static arguments are given by name.
     """
 
@@ -44,52 +44,46 @@ class Program:
                 return function(*arguments, **static)
 
         self.function = precise
-        self.in_trace = jax.jit(precise, static_argnames=static)
+        self.jitted = jax.jit(precise, static_argnames=static)
 
     def __call__(self, *arguments: Any, **static: Any) -> Any:
         """Call the program for these shapes, compiled before or now."""
         leaves, tree = jax.tree.flatten(arguments)
-        if traced(leaves):
-            return self.in_trace(*arguments, **static)
+        if traced(leaves) or _are_elsewhere(leaves):
+            return self.jitted(*arguments, **static)
         key = self, *_key(leaves, tree, static)
         if key not in PROGRAMS:
-            PROGRAMS[key] = self._compile(arguments, static)
+            shapes, kept = _shapes_of(arguments), can_keep(static)
+            run = load_or_export(self.function, shapes, static) if kept else partial(self.function, **static)
+            lowered = jax.jit(run, compiler_options=COMPILER_OPTIONS).lower(*shapes)
+            PROGRAMS[key] = _COMPILERS.submit(lowered.compile), _shapes_of(lowered.out_info)
         compiled, results = PROGRAMS[key]
-        if isinstance(leaves[0], jax.ShapeDtypeStruct):
-            return results
-        return compiled.result()(*arguments)
-
-    def _compile(self, arguments: tuple[Any, ...], static: dict[str, Any]) -> tuple[Future[Any], Any]:
-        """Start the compilation; also return the shapes of the results."""
-        shapes, kept = _shapes_of(arguments), can_keep(static)
-        function = load_or_export(self.function, shapes, static) if kept else partial(self.function, **static)
-        lowered = jax.jit(function, compiler_options=COMPILER_OPTIONS).lower(*shapes)
-        return _COMPILERS.submit(lowered.compile), _shapes_of(lowered.out_info)
+        return results if isinstance(leaves[0], jax.ShapeDtypeStruct) else compiled.result()(*arguments)
 
 
-class Pipeline:
-    """A function whose only computations are calls of programs, which are compiled side by side.
+def pipeline(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile the programs that a function calls side by side; it must compute nothing besides.
 
-    It is called with shapes first. While a program is compiled in a thread, Python traces the next one, so
-    the first answer comes in three quarters of the time. Static arguments are given by name.
+    Before its first call, the function is called with shapes. While a program is compiled in a thread, Python
+    traces the next one, so the first answer comes in three quarters of the time.
     """
 
-    def __init__(self, function: Callable[..., Any], static: tuple[str, ...]) -> None:
-        self.function = function
-        self.jitted = jax.jit(function, static_argnames=static, compiler_options=COMPILER_OPTIONS)
-
-    def __call__(self, *arguments: Any, **static: Any) -> Any:
-        """Call the function, as one program for arrays that are bound to other devices than the first."""
+    @wraps(function)
+    def call(*arguments: Any, **static: Any) -> Any:
         leaves, tree = jax.tree.flatten(arguments)
-        if not traced(leaves):
-            bound = [leaf for leaf in leaves if isinstance(leaf, jax.Array) and leaf.committed]
-            if any(leaf.devices() != {jax.devices()[0]} for leaf in bound):
-                return self.jitted(*arguments, **static)
-            key = self, *_key(leaves, tree, static)
-            if key not in PROGRAMS:
-                self.function(*_shapes_of(arguments), **static)
-                PROGRAMS[key] = None
-        return self.function(*arguments, **static)
+        key = function, *_key(leaves, tree, static)
+        if not (key in PROGRAMS or traced(leaves) or _are_elsewhere(leaves)):
+            function(*_shapes_of(arguments), **static)
+            PROGRAMS[key] = None
+        return function(*arguments, **static)
+
+    return call
+
+
+def _are_elsewhere(leaves: list[Any]) -> bool:
+    """Whether arrays are bound to other devices than the first one."""
+    bound = next((leaf for leaf in leaves if isinstance(leaf, jax.Array) and leaf.committed), None)
+    return bound is not None and bound.devices() != {jax.devices()[0]}
 
 
 def _key(leaves: list[Any], tree: Any, static: dict[str, Any]) -> Any:

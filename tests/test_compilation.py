@@ -13,7 +13,7 @@ import pytest
 
 import reframe_jax as rf
 from reframe_jax import compilation
-from reframe_jax.compilation import PROGRAMS, Pipeline, Program, _take_row, _take_rows, index_leaves
+from reframe_jax.compilation import PROGRAMS, Program, _take_row, _take_rows, index_leaves, pipeline
 from reframe_jax.identification.pipeline import prepare
 from reframe_jax.simulation import synthetic
 
@@ -145,11 +145,11 @@ def test_all_programs_of_a_pipeline_are_traced_before_the_first_runs() -> None:
         calls.append("shape" if isinstance(twice, jax.ShapeDtypeStruct) else "number")
         return added(twice, more=more)
 
-    pipeline = Pipeline(function, ("more",))
+    whole = pipeline(function)
     for x in (np.arange(3.0), np.arange(3.0) + 1):
-        np.testing.assert_array_equal(pipeline(x, more=1), 2 * x + 1)
+        np.testing.assert_array_equal(whole(x, more=1), 2 * x + 1)
     assert calls == ["trace double", "shape", "trace add", "number", "number"]
-    np.testing.assert_array_equal(jax.vmap(lambda x: pipeline(x, more=1))(np.eye(2)), 2 * np.eye(2) + 1)
+    np.testing.assert_array_equal(jax.vmap(lambda x: whole(x, more=1))(np.eye(2)), 2 * np.eye(2) + 1)
 
 
 def test_error_bars_prepare_windows_with_the_program_of_identify() -> None:

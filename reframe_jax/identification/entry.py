@@ -17,7 +17,7 @@ from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.inputs import run_in_pieces, run_in_trace, take_poses, take_steps
 from reframe_jax.identification.options import Options, Scales, check_options
-from reframe_jax.identification.pipeline import CHUNK, Method, identify_windows
+from reframe_jax.identification.pipeline import CHUNK, Method, identify_by_thresholds, identify_windows
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.kinematics import Discretization
@@ -123,7 +123,9 @@ def identify_unchecked(
         reach = np.asarray(np.nan, dtype) if reach is None else jnp.asarray(reach, dtype)
         arrays = reach, level, key, allowed, samples
         method = Method(bool(samples == 1), exponent, discretization, solver)
-        run = partial(identify_windows, arrays, method=method)
+        run = partial(
+            identify_windows if thresholds is None else identify_by_thresholds, arrays, method=method
+        )
         if inside_a_trace:
             found = run_in_trace(run, array, steps, None, CHUNK)
         elif array.ndim > 3 and _is_distributed(array):

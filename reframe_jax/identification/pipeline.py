@@ -3,12 +3,13 @@
 poses -> features, moments (:mod:`reframe_jax.model`) -> the most probable entry of the table -> its frames.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.compilation import Pipeline, Program
+from reframe_jax.compilation import Program, pipeline
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.inputs import in_chunks
 from reframe_jax.identification.paper import paper_origins, step_moments
@@ -35,7 +36,7 @@ class Method(NamedTuple):
     solver: Solver | None
 
 
-def _identify(options: Any, windows: Any, number: Array | None, *, method: Method) -> Identification:
+def _identify(options: Any, windows: Any, number: Array | None, *, method: Method) -> Any:
     """Identify windows of checked poses; the windows and their number are those of :func:`.run_in_pieces`."""
     bounds, thresholds, key, allowed, scales = options  # arrays; which entries (E,) are allowed, as booleans
     window = prepare(windows[:3], number, bounds, scales, single_steps=method.single_steps)
@@ -43,8 +44,12 @@ def _identify(options: Any, windows: Any, number: Array | None, *, method: Metho
     if thresholds is None:
         solved = solved._replace(**_compare((window, details, weight, solved), number, allowed))
     solution = window, details, weight, solved
-    found: Identification = _report(solution, number, thresholds, allowed, method=method)
-    return found
+    return _report(solution, number, thresholds, allowed, method=method)
+
+
+def _identify_in_one_program(options: Any, windows: Any, number: Array | None, *, method: Method) -> Any:
+    """Identify as :func:`_identify` does, in one program, without what thresholds do not need."""
+    return in_chunks(partial(_identify, options, number=None, method=method), CHUNK)(windows, number)
 
 
 def _search_windows(
@@ -85,4 +90,5 @@ prepare = Program(in_chunks(prepare_windows, CHUNK), ("single_steps",))
 _search = Program(in_chunks(_search_windows, CHUNK), ("compare", "method"))
 _compare = Program(in_chunks(_compare_windows, CHUNK), ())
 _report = Program(in_chunks(_report_windows, CHUNK), ("method",))
-identify_windows = Pipeline(_identify, ("method",))
+identify_windows = pipeline(_identify)
+identify_by_thresholds = Program(_identify_in_one_program, ("method",))

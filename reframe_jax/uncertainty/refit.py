@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import Pipeline, Program, inside_trace, narrow, traced
+from reframe_jax.compilation import Program, inside_trace, narrow, pipeline, traced
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
 from reframe_jax.geometry.rotations import rotation_exp, vee
 from reframe_jax.identification.cautions import Caution
@@ -119,10 +119,8 @@ def over_windows(
         estimate = jax.tree.map(
             lambda x: xp.asarray(x, array.dtype if jnp.issubdtype(x.dtype, jnp.floating) else None), estimate
         )
-        bounds = np.asarray(np.nan, array.dtype)  # the default
-        run = partial(
-            _over_windows, take_scales(scales, array.shape[-3]), bounds, function=function, **static
-        )
+        arrays = take_scales(scales, array.shape[-3]), np.asarray(np.nan, array.dtype)  # scales and bounds
+        run = partial(_over_windows, *arrays, function=function, **static)
         if tracing:
             result = run_in_trace(run, array, steps, estimate, _CHUNK)
         else:
@@ -150,7 +148,7 @@ def _call_function(windows: tuple[Prepared, Estimate], scales: Array, *, functio
 
 
 _call = Program(in_chunks(_call_function, _CHUNK), ("function", "parts"))
-_over_windows = Pipeline(_refit, ("function", "parts"))
+_over_windows = pipeline(_refit)
 
 
 def refit_windows(window: Prepared, windows: Windows, scales: Array, parts: str) -> Refit:
