@@ -44,13 +44,14 @@ class Program:
                 return function(*arguments, **static)
 
         self.function = precise
-        self.jitted = jax.jit(precise, static_argnames=static)
+        self.in_trace = jax.jit(precise, static_argnames=static)
+        self.elsewhere = jax.jit(precise, static_argnames=static, compiler_options=COMPILER_OPTIONS)
 
     def __call__(self, *arguments: Any, **static: Any) -> Any:
         """Call the program for these shapes, compiled before or now."""
         leaves, tree = jax.tree.flatten(arguments)
         if traced(leaves) or _are_elsewhere(leaves):
-            return self.jitted(*arguments, **static)
+            return (self.in_trace if traced(leaves) else self.elsewhere)(*arguments, **static)
         key = self, *_key(leaves, tree, static)
         if key not in PROGRAMS:
             shapes, kept = _shapes_of(arguments), can_keep(static)

@@ -284,11 +284,11 @@ class Middle:
 
 
 def test_one_trace_per_shape(mixed):
-    solver = Middle()
+    before, solver = len(PROGRAMS), Middle()
     rf.identify(mixed, dt=0.1, thresholds=rf.Thresholds(), solver=solver)
-    before = len(PROGRAMS)
+    assert len(PROGRAMS) == before + 1
     rf.identify(mixed + 0, dt=0.2, thresholds=rf.Thresholds(0.1, 0.02), solver=solver)
-    assert len(PROGRAMS) == before
+    assert len(PROGRAMS) == before + 1
 
 
 def test_float32_finds_the_same_frames_at_its_own_precision():

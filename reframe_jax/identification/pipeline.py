@@ -22,8 +22,6 @@ from reframe_jax.solvers import Solver
 
 Array = jax.Array
 CHUNK = {"cpu": 32, "gpu": 16384}  # windows whose arrays fit the cache, or the memory
-
-
 _Solution = tuple[Prepared, Array, Array, Solved]  # details and weights of the scales, after the windows
 
 
