@@ -8,7 +8,6 @@ import argparse
 import math
 import os
 from collections.abc import Callable
-from functools import wraps
 from typing import Any, TypeVar
 
 import jax
@@ -28,7 +27,6 @@ _IMPERFECTIONS = {"none": None, "encoder": "ENCODER_GRADE", "realistic": "REALIS
 def _argument(read: Callable[[str], T]) -> Callable[[str], T]:
     """Convert a ValueError or KeyError to an ArgumentTypeError, whose message the user sees."""
 
-    @wraps(read)
     def checked(text: str) -> T:
         try:
             return read(text)
@@ -61,16 +59,14 @@ metres = _number("positive number", 1e-6, _LARGEST)
 whole = _number("whole number", convert=int)
 count = _number("positive whole number", 1, convert=int)
 _seed = _number("whole number", 0, 2**63 - 1, int)
-_any_number = _number("number")
 
 
 @_argument
 def exponent(text: str) -> float:
     """Convert text to the exponent of the power mean over the three axes of a frame."""
-    return check_exponent(_any_number(text))
+    return check_exponent(_number("number")(text))
 
 
-@_argument
 def scales(text: str) -> str | tuple[int, ...]:
     """Convert text to time scales: "auto", "mean", or counts of samples such as "1" or "1,2,4"."""
     if text in ("auto", "mean"):
@@ -79,7 +75,7 @@ def scales(text: str) -> str | tuple[int, ...]:
         return tuple(count(part.strip()) for part in text.split(","))
     except argparse.ArgumentTypeError as error:
         message = f"expected auto, mean, or powers of two such as 1 or 4,8,16, not {text!r}"
-        raise ValueError(message) from error
+        raise argparse.ArgumentTypeError(message) from error
 
 
 @_argument

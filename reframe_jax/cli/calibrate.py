@@ -34,8 +34,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Calibrate the tool of every recording."""
     check_outputs(options)
-    records = [_calibrate_file(path, options) for path in options.files]
-    return write_document(records, SCHEMA, options)
+    return write_document([_calibrate_file(path, options) for path in options.files], SCHEMA, options)
 
 
 def _calibrate_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:

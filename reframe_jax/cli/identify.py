@@ -46,8 +46,7 @@ from reframe_jax.storage.progress import make_meter
 _CHUNK = 2048  # windows per progress report
 _COLUMNS = ("recording", "windows", "name", "prob.", "angular", "linear", "origin [m]", "noise", "status")
 _ROBOTS: dict[str, Callable[[Joint], str]] = {"urdf": to_urdf, "mjcf": to_mjcf, "sdf": to_sdf}
-_YAML, _JSON = TaskFrame.to_yaml, TaskFrame.to_json
-_DOCUMENTS: dict[str, Callable[[TaskFrame], str]] = {".yaml": _YAML, ".yml": _YAML, ".json": _JSON}
+_DOCUMENTS = {".yaml": TaskFrame.to_yaml, ".yml": TaskFrame.to_yaml, ".json": TaskFrame.to_json}
 _TABLES = {"csv": write_csv, "parquet": write_parquet}
 
 
@@ -93,12 +92,6 @@ def add_options(command: argparse.ArgumentParser) -> None:
     add("--explain", action="store_true", help=explain)
     add_outputs(command)
     add_reading(command)
-    _add_exports(command)
-    arguments.add_cache(command)
-
-
-def _add_exports(command: argparse.ArgumentParser) -> None:
-    """Add the options that write robot descriptions, task frames and tables to a command."""
     add = command.add_argument_group(
         "files for other programs",
         "With several recordings, each joint or task frame is written to OUT-NAME.",
@@ -111,6 +104,7 @@ def _add_exports(command: argparse.ArgumentParser) -> None:
     add("--child", default="body", metavar="NAME", help="name of the body in these files (body)")
     add("--csv", type=Path, metavar="OUT", help="write a table of all recordings as CSV, one row per window")
     add("--parquet", type=Path, metavar="OUT", help="write the same table as Parquet")
+    arguments.add_cache(command)
 
 
 def _check_exports(options: argparse.Namespace) -> None:
@@ -168,8 +162,7 @@ def run(options: argparse.Namespace) -> int:
         meter(len(records), len(options.files))
         if quiet and sys.stderr.isatty() and len(records) < len(options.files):
             print_error("", end="\r")  # the next line overwrites the progress bar
-    good = sum(record["error"] is None for record in records)
-    if options.json != "-" and (good > 1 or options.summary):
+    if options.json != "-" and (options.summary or sum(record["error"] is None for record in records) > 1):
         print_result(summary_table(records))
     failed = _write_tables(tables, options)
     return write_document(records, SCHEMA, options) or failed
@@ -239,8 +232,7 @@ def _write_joint_files(recording: Recording, found: Identification, options: arg
     """Write the requested joint and task frame files; raise one RecordingError for all errors."""
     texts: dict[Path, Callable[[], str]] = {}
     problems = []
-    robots = [name for name in _ROBOTS if getattr(options, name) is not None]
-    if robots:
+    if robots := [name for name in _ROBOTS if getattr(options, name) is not None]:
         joint = found.to_joint(recording.poses, parent=options.parent, child=options.child)
         if joint.is_envelope:
             print_error(f"reframe-jax: {recording.path}: {joint.gauge[0]}")

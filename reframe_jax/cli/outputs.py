@@ -11,8 +11,6 @@ from reframe_jax.cli.reading import expand
 from reframe_jax.export.json import to_document
 from reframe_jax.recordings.recording import RecordingError
 
-_PICTURES = (".png", ".pdf", ".svg", ".jpg", ".webp")
-
 
 def add_outputs(command: argparse.ArgumentParser, *, plot: bool = True) -> None:
     """Add the recordings, ``files``, and the options ``--json`` and ``--plot`` to a command."""
@@ -32,7 +30,7 @@ def check_outputs(options: argparse.Namespace) -> None:
     out: Path | None = options.plot
     if out is None:
         return
-    check_file("--plot", out, options, _PICTURES)
+    check_file("--plot", out, options, (".png", ".pdf", ".svg", ".jpg", ".webp"))
     if len({path.stem for path in options.files}) < len(options.files):
         options.usage_error("--plot needs recordings with different names.")
 

@@ -81,9 +81,7 @@ def run_process() -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line with arguments, by default those of the process; return the exit code.
 
-    Raises:
-        SystemExit: with code 2 for a wrong command line, 1 if standard output cannot be written, 0 after
-            ``--help`` and ``--version``.
+    ``--help``, ``--version``, a wrong command line, and a standard output that cannot be written exit.
     """
     argv = sys.argv[1:] if argv is None else argv
     options, rest = build_parser(argv).parse_known_args(argv)

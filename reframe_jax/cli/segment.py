@@ -30,8 +30,7 @@ def run(options: argparse.Namespace) -> int:
     """Segment every recording."""
     check_outputs(options)
     arguments.configure_jax(options.cache)
-    records = [_segment_file(path, options) for path in options.files]
-    return write_document(records, SCHEMA, options)
+    return write_document([_segment_file(path, options) for path in options.files], SCHEMA, options)
 
 
 def _segment_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
@@ -43,8 +42,7 @@ def _segment_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
         if options.json != "-":
             print_result(segments_to_table(found, label=str(path)), end="\n\n")
         if options.plot is not None:
-            title = path.name
-            draw(lambda plot: plot.plot_segmentation(recording.poses, found, title=title), path, options)
+            draw(lambda plot: plot.plot_segmentation(recording.poses, found, title=path.name), path, options)
     except ValueError as error:
         problem = str(error) if isinstance(error, RecordingError) else f"{path}: {error}"
         fail(problem)

@@ -9,6 +9,7 @@ Python.
 
 import argparse
 import webbrowser
+from contextlib import closing
 from pathlib import Path
 
 import jax
@@ -55,14 +56,11 @@ def run(options: argparse.Namespace) -> int:
             print_result(f"{options.file}: {page.url} (Ctrl-C ends it)")
             if options.open:
                 webbrowser.open(page.url)
-            try:
+            with closing(page):
                 page.run()
-            finally:
-                page.close()
         else:
             write_page(options.html, tracks, title=options.file.name)
-            more = ", and more windows" if len(tracks) > 1 else ""
-            print_result(f"{options.html}: {tracks[0].name}{more}")
+            print_result(f"{options.html}: {tracks[0].name}{', and more windows' if len(tracks) > 1 else ''}")
     except (RecordingError, ImportError) as error:
         return fail(error)
     except OSError as error:

@@ -25,8 +25,7 @@ _WEAK = 0.09  # rad RMS, 5 degrees: below this tilt, the table recommends to til
 def calibration_to_table(found: Calibration, recording: Recording) -> str:
     """Format a calibration as text: the tip or the axis, error bars, and the residual of every row."""
     numbers, row_word = _row_numbers(found, recording), recording.row_word
-    kind = "Pivot calibration" if found.axis is None else "Spin calibration"
-    lines = [f"{recording.path}: {kind}"]
+    lines = [f"{recording.path}: {'Pivot' if found.axis is None else 'Spin'} calibration"]
     out = numbers[~found.used]
     lines.append(f"{int(found.used.sum())} of {len(found.used)} poses used. Error bars are 95 % intervals.")
     if len(out):
@@ -37,9 +36,8 @@ def calibration_to_table(found: Calibration, recording: Recording) -> str:
         error = np.degrees(found.axis_interval)
         lines.append(f"Axis      {format_vector(found.axis, 5)} in the body, ± {error:.2g} deg")
         lines.append(f"          {format_vector(found.ground_axis, 5)} in the ground")
-    name = "Tip  " if found.axis is None else "Place"
     for title, where, place, interval in (
-        (name, "body", found.tip, found.tip_interval),
+        ("Tip  " if found.axis is None else "Place", "body", found.tip, found.tip_interval),
         ("Point", "ground", found.point, found.point_interval),
     ):
         widths = ", ".join(f"{1e3 * width:.2g}" for width in interval)
@@ -74,6 +72,5 @@ def calibration_to_record(found: Calibration, recording: Recording) -> dict[str,
     """Convert a calibration to "calibration" in the JSON document, in plain Python types."""
     arrays = {name: getattr(found, name) for name in _FIELDS}
     rows = _row_numbers(found, recording)
-    kind = "pivot" if found.axis is None else "spin"
-    named = {"kind": kind, "row_word": recording.row_word}
+    named = {"kind": "pivot" if found.axis is None else "spin", "row_word": recording.row_word}
     return plain(named | arrays | {"rows": rows, "outliers": rows[~found.used]})

@@ -14,9 +14,7 @@ import jax
 import numpy as np
 
 from reframe_jax.export.common import TYPES, Window
-from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import Identification
-from reframe_jax.motion.checks import Status
 from reframe_jax.storage.parts import PARQUET
 
 if TYPE_CHECKING:
@@ -37,17 +35,9 @@ def to_frame(
 
     Columns are flat and typed, with units in their names: ``linear_position_x_m``, ``angular_rms_1_rad_s``.
     ``frame.to_parquet`` and ``frame.to_csv`` write the same content as ``reframe-jax identify --parquet`` and
-    ``--csv``.
-
-    Args:
-        found: the identification of one window, or of a batch.
-        label: name of the recording, for the column ``recording``.
-        windows: the part of the recording that each window covers. Without ``windows``, the columns ``start``
-            and ``stop`` are -1 and the times are NaN.
-
-    Raises:
-        ImportError: if pandas is not installed.
-        ValueError: if the number of ``windows`` differs from the number in ``found``.
+    ``--csv``. Arguments and errors as in :func:`to_table`; an ImportError is raised without pandas. The label
+    fills the column ``recording``. Without ``windows``, the columns ``start`` and ``stop`` are -1 and the
+    times are NaN.
     """
     try:
         import pandas
@@ -66,8 +56,8 @@ def to_columns(
     host = jax.tree.map(lambda leaf: leaf.reshape(number, *leaf.shape[len(batch) :]), host)
     if windows is not None and len(windows) != number:
         raise ValueError(f"Expected {number} windows, one per identification, not {len(windows)}.")
-    each = [host[index] for index in range(number)]
-    failed = np.array([Status(int(code)).failed for code in host.status_code], bool)
+    each = list(host)
+    failed = np.array([one.status.failed for one in each], bool)
     entries = [None if bad else one.entry for bad, one in zip(failed, each, strict=True)]
     columns: Columns = {"recording": _texts([label or ""] * number), "window": np.arange(number)}
     spans = [Window(-1, -1, np.nan, np.nan)] * number if windows is None else windows
@@ -75,7 +65,7 @@ def to_columns(
         unit = "_s" if kind is float else ""
         columns[name + unit] = np.array([getattr(span, name) for span in spans], kind)
     columns |= {
-        "status": _texts([Status(int(code)).name for code in host.status_code]),
+        "status": _texts([one.status.name for one in each]),
         "name": _texts(["" if bad else one.name for bad, one in zip(failed, each, strict=True)]),
         "label": _texts([entry.label if entry else "" for entry in entries]),
         "probability": np.asarray(host.probability, float),
@@ -99,9 +89,8 @@ def write_csv(path: Path, tables: Sequence[Columns]) -> None:
     """Write tables with the same columns as one CSV file; numbers keep full precision."""
     with path.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file:
         writer = csv.writer(file)
-        for index, columns in enumerate(tables):
-            if index == 0:
-                writer.writerow(columns)
+        writer.writerows(tables[:1])  # the names
+        for columns in tables:
             writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
 
 
@@ -115,7 +104,7 @@ def _frame_columns(group: str, frame: Any, failed: np.ndarray) -> Columns:
     """Columns of the angular or linear frame: type, ties, axes, degrees of freedom, velocities, origin."""
     kinds: Any = TYPES[group]
     codes = [int(code) for code in frame.type_code]
-    axes = np.asarray(rotation_exp(frame.rotvec), float)
+    axes = np.asarray(frame.axes, float)
     columns = {
         "type": _texts(["" if bad else str(kinds(code)) for bad, code in zip(failed, codes, strict=True)]),
         "tied": _texts([" ".join(str(kind) for kind in kinds if row[kind]) for row in frame.tied]),

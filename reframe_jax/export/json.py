@@ -13,7 +13,6 @@ from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.naming import constraint_of, name_of
 from reframe_jax.identification.results import Identification
 from reframe_jax.model.table import ENTRIES
-from reframe_jax.motion.checks import Status
 from reframe_jax.recordings.recording import Recording
 
 _RESULT = (
@@ -45,14 +44,10 @@ def to_record(
     recording: Recording | None = None,
     error: str | None = None,
 ) -> dict[str, Any]:
-    """Convert an identification to an entry of "recordings" in the JSON document.
+    """Convert an identification of one window or a batch to an entry of "recordings" in the JSON document.
 
-    Args:
-        found: the identification of one window or a batch; None for a recording that could not be used.
-        label: name of the recording.
-        windows: the part of the recording that each window of the batch covers.
-        recording: the recording, with its notes and the rows that were left out.
-        error: why the recording could not be used.
+    ``found`` is None for a recording that could not be used because of an ``error``. The ``recording`` has
+    notes and rows that were left out; other arguments as in :func:`to_table`.
     """
     each = [] if found is None else common.split_windows(jax.device_get(found))
     spans: Sequence[common.Window | None] = windows or [None] * len(each)
@@ -72,10 +67,9 @@ def to_record(
 
 
 def _window_record(found: Identification, span: common.Window | None) -> dict[str, Any]:
-    status = Status(int(found.status_code))
     record: dict[str, Any] = {name: getattr(span, name, None) for name in common.Window.__dataclass_fields__}
-    record |= {"status": status.name, "message": status.message}
-    if status.failed:
+    record |= {"status": found.status.name, "message": found.status.message}
+    if found.status.failed:
         return record | {"notes": []} | dict.fromkeys(_RESULT)
     entry, (ground, body) = found.entry, found.universal_axes
     probability = np.nan_to_num(np.asarray(found.entry_probability, float))
@@ -103,7 +97,7 @@ def _window_record(found: Identification, span: common.Window | None) -> dict[st
     candidates: dict[str, Any] = {}
     for group, types in common.TYPES.items():
         frame, others = getattr(found, group), getattr(found.candidates, group)
-        named = {"type": str(types(int(frame.type_code))), "tied": common.tied_names(group, frame)}
+        named = {"type": str(frame.frame_type), "tied": common.tied_names(group, frame)}
         more = {name: getattr(frame, name) for name in ("free_probability", "amplitude", "free_rotation")}
         record[group] = named | _frame_record(frame) | more
         candidates[group] = {

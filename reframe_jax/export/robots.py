@@ -30,11 +30,10 @@ def is_endless(part: JointPart) -> bool:
 def part_names(joint: Joint) -> list[str]:
     """Name each part after the child and its kind, with a number if several parts have the same kind."""
     kinds = [part.kind for part in joint.parts]
-    names = []
-    for index, kind in enumerate(kinds):
-        number = f"_{kinds[: index + 1].count(kind)}" if kinds.count(kind) > 1 else ""
-        names.append(f"{joint.child}_{kind}{number}")
-    return names
+    numbers = [
+        f"_{kinds[: i + 1].count(kind)}" if kinds.count(kind) > 1 else "" for i, kind in enumerate(kinds)
+    ]
+    return [f"{joint.child}_{kind}{number}" for kind, number in zip(kinds, numbers, strict=True)]
 
 
 def sphere_inertia(mass: float) -> dict[str, float]:
@@ -48,9 +47,8 @@ def remarks(joint: Joint) -> str:
     lines = [
         f"{joint.name}, identified by reframe_jax from recorded poses of {joint.child} in {joint.parent}."
     ]
-    if joint.is_chain:
-        position, rotation = 1e3 * joint.position_error, np.degrees(joint.rotation_error)
-        lines.append(f"RMS distance from the recording: {position:.2g} mm, {rotation:.2g} deg.")
+    position, rotation = 1e3 * joint.position_error, np.degrees(joint.rotation_error)
+    lines.append(f"RMS distance from the recording: {position:.2g} mm, {rotation:.2g} deg.")
     if joint.parts:
         lines.append("The limits are the recorded range.")
     placeholder = "Poses do not determine the mass and the inertia: a solid sphere serves as a placeholder."

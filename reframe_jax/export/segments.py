@@ -13,13 +13,11 @@ from reframe_jax.segmentation.results import Segmentation
 SCHEMA = "reframe-jax/segmentation/2"
 
 
-def segments_to_table(found: Segmentation, *, label: str | None = None) -> str:
+def segments_to_table(found: Segmentation, *, label: str) -> str:
     """Format a segmentation as text, one row per segment."""
-    plural = "" if len(found) == 1 else "s"
-    rows = [f"{label}: {len(found)} segment{plural}" if label else f"{len(found)} segment{plural}"]
+    rows = [f"{label}: {len(found)} segment{'' if len(found) == 1 else 's'}"]
     rows.append(f"{'from':>9} {'to':>9}  {'label':>5}  constraint")
-    ends = [None, *found.boundaries]
-    for segment, boundary in zip(found.segments, ends, strict=True):
+    for segment, boundary in zip(found.segments, [None, *found.boundaries], strict=True):
         start, stop = (float(found.times[i]) for i in (segment.start, segment.stop - 1))
         label_text = "" if segment.resting else str(segment.label)
         row = f"{start:>7.3f} s {stop:>7.3f} s  {label_text:>5}  {segment.name}"
@@ -32,9 +30,7 @@ def segments_to_table(found: Segmentation, *, label: str | None = None) -> str:
     return "\n".join(rows)
 
 
-def segments_to_record(
-    found: Segmentation | None, *, label: str | None = None, error: str | None = None
-) -> dict[str, Any]:
+def segments_to_record(found: Segmentation | None, *, label: str, error: str | None) -> dict[str, Any]:
     """Convert a segmentation, or None if it failed, to an entry of the JSON document."""
     record: dict[str, Any] = {"recording": label, "error": error}
     if found is None:

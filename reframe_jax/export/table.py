@@ -8,7 +8,6 @@ import numpy as np
 
 from reframe_jax.constraints.types import BODY_NAMES, LinearType
 from reframe_jax.export import common
-from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import Identification
 from reframe_jax.joints.joint import format_vector, two_digits
 from reframe_jax.motion.checks import Status
@@ -40,13 +39,12 @@ def to_table(
     host = jax.device_get(found)
     if np.ndim(host.status_code):
         return "\n".join(_batch_table(common.split_windows(host), label, windows))
-    status = Status(int(host.status_code))
     heading = f"{label}: {host.name}" if label else host.name
-    if status.failed:
+    if host.status.failed:
         return heading
     (window,) = windows or (None,)
     probability = common.format_probability(host.probability)
-    blocks = [f"{heading} ({probability})", status.message, *host.warnings, ""]
+    blocks = [f"{heading} ({probability})", host.status.message, *host.warnings, ""]
     for group in common.TYPES:
         blocks += _frame_block(group, getattr(host, group))
     if np.isfinite(host.pitch):
@@ -64,14 +62,13 @@ def rows_to_table(recording: Recording, found: Identification) -> str:
     used, unused = common.count_rows(recording, common.split_windows(jax.device_get(found)))
     if not unused:
         return ""
-    every = used + sum(len(each.rows) for each in unused)
-    lines = [f"Rows    {used} of {every} used; left out:"]
+    lines = [f"Rows    {used} of {used + sum(len(each.rows) for each in unused)} used; left out:"]
     lines += [f"  {name_rows(recording.row_word, each.rows)}: {each.why}" for each in unused]
     return "\n".join(lines)
 
 
 def _frame_block(group: str, frame: Any) -> list[str]:
-    kind = common.TYPES[group](int(frame.type_code))
+    kind = frame.frame_type
     others = [name for name in common.tied_names(group, frame) if name != str(kind)]
     ties = f"; tied with {', '.join(others)}" if others else ""
     ties = " and ".join(ties.rsplit(", ", 1))
@@ -81,7 +78,7 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         lines = [f"Linear frame {kind}: {where} fixed in the {origin_in}{ties}"]
     else:
         lines = [f"Angular frame {kind}: axes fixed in the {BODY_NAMES[kind]}{ties}"]
-    for i, axis in enumerate(np.asarray(rotation_exp(frame.rotvec)).T):
+    for i, axis in enumerate(np.asarray(frame.axes).T):
         freedom = "free" if frame.dof[i] else "constrained"
         likely = frame.free_probability[i] if frame.dof[i] else 1 - frame.free_probability[i]
         if likely < _CLEAR:
@@ -151,29 +148,25 @@ def _batch_table(
         for row, window in zip(rows, windows, strict=True):
             row.insert(1, f"{window.start_time:.2f} - {window.stop_time:.2f}")
     count = f"{len(each)} window{'' if len(each) == 1 else 's'}"
-    statuses = sorted({Status(int(found.status_code)) for found in each} - {Status.OK})
-    legend = [f"{status.name}: {status.message}" for status in statuses]
+    statuses = sorted({found.status for found in each} - {Status.OK})
     ties = any("~" in cell for row in rows for cell in row)
-    notes = {
-        note: None for found in each if not Status(int(found.status_code)).failed for note in found.warnings
-    }
     return [
         f"{label}: {count}" if label else count,
         *common.align_columns([columns, *rows]),
         *(["~ tied: fits equally well"] if ties else []),
-        *legend,
-        *notes,
+        *(f"{status.name}: {status.message}" for status in statuses),
+        *dict.fromkeys(note for found in each if not found.status.failed for note in found.warnings),
     ]
 
 
 def _batch_row(index: int, found: Identification) -> list[str]:
-    status = Status(int(found.status_code))
-    if status.failed:
-        return [str(index), "-", "-", "-", "-", "-", status.name]
+    status = found.status.name
+    if found.status.failed:
+        return [str(index), "-", "-", "-", "-", "-", status]
     kinds = []
-    for group, types in common.TYPES.items():
+    for group in common.TYPES:
         frame = getattr(found, group)
-        kind = str(types(int(frame.type_code)))
+        kind = str(frame.frame_type)
         kinds.append("~".join([kind, *(name for name in common.tied_names(group, frame) if name != kind)]))
     origin = format_vector(found.linear.position, 3, 6)
-    return [str(index), found.name, common.format_probability(found.probability), *kinds, origin, status.name]
+    return [str(index), found.name, common.format_probability(found.probability), *kinds, origin, status]

@@ -13,9 +13,6 @@ from reframe_jax.constraints.types import AxisRelation, distinct_axis, relation_
 from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
 from reframe_jax.identification.results import Identification
 
-_ORDER = ("x", "y", "z", "rx", "ry", "rz")
-_UNITS = ("N/m",) * 3 + ("N m/rad",) * 3
-
 
 @dataclass(frozen=True, eq=False)
 class TaskFrame:
@@ -72,8 +69,7 @@ class TaskFrame:
 
     def _document(self) -> dict[str, Any]:
         x, y, z = _plain(self.transform[:3, 3])
-        quaternion = _plain(matrices_to_quaternions(self.transform[:3, :3]))
-        turn = dict(zip("xyzw", quaternion, strict=True))
+        turn = dict(zip("xyzw", _plain(matrices_to_quaternions(self.transform[:3, :3])), strict=True))
         return {
             "header": {"frame_id": self.frame_id},
             "child_frame_id": self.task,
@@ -82,11 +78,11 @@ class TaskFrame:
             "valid": self.validity,
             "control": {
                 "frame": self.task,
-                "order": list(_ORDER),
+                "order": ["x", "y", "z", "rx", "ry", "rz"],
                 "motion_selection": [int(free) for free in self.free],
                 "force_selection": [int(not free) for free in self.free],
                 "stiffness": _plain(self.stiffness),
-                "stiffness_units": list(_UNITS),
+                "stiffness_units": ["N/m"] * 3 + ["N m/rad"] * 3,
             },
         }
 
@@ -107,15 +103,10 @@ def to_task_frame(
     of a frame is its single free or single constrained axis. Deviations up to 15 degrees count as estimation
     errors; the task frame then keeps the linear axes.
 
-    Args:
-        found: the identification of a single window.
-        pose: (4, 4) of {b} in {g}, m, the pose at which to evaluate the frame. If the whole frame is fixed in
-            one body, every pose gives the same task frame.
-        ground: name of {g}.
-        body: name of {b}.
-        task: name of the frame.
-        stiff: N/m and N m/rad, stiffness along and about free axes, which the controller moves.
-        soft: N/m and N m/rad, stiffness along and about constrained axes, which the contact holds.
+    The pose (4, 4) of {b} in {g} is in m. If the whole frame is fixed in one body, every pose gives the same
+    task frame. The stiffnesses, N/m and N m/rad, are ``stiff`` along and about free axes, which the
+    controller moves, and ``soft`` along and about constrained axes, which the contact holds. ``ground``,
+    ``body`` and ``task`` are the names of {g}, {b} and the frame.
 
     Raises:
         ValueError: for a batch; a window without a result; a pose of another shape; a stiffness that is
@@ -137,9 +128,8 @@ def to_task_frame(
     both = np.array([stiff, soft], float)
     if both.shape != (2, 2) or not ((both >= 0) & np.isfinite(both)).all():
         raise ValueError(f"Expected two stiffnesses that are 0 or more, not {stiff} and {soft}.")
-    located = locate_on_host(frame, there[None])
-    angular, linear = (np.asarray(axes[0]) for axes in (located.angular_axes, located.linear_axes))
-    axes, turns, turned = _common_axes(frame, angular, linear)
+    located: Any = locate_on_host(frame, there[None])
+    axes, turns, turned = _common_axes(frame, located.angular_axes[0], located.linear_axes[0])
     placed = np.eye(4)
     placed[:3, :3], placed[:3, 3] = axes, there[:3, 3] + located.lever[0]
     angular_on_body, linear_on_body, point_on_body = fixed_on_body(frame)

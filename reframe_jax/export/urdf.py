@@ -21,16 +21,9 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
     because the URDF type ``planar`` does not specify whether the child may turn. A screw joint is a hinge and
     a slide that mimics the hinge. Three hinges replace a ball; ``joint.without_balls()`` has the same
     coordinates as the file. Every moving link has an ``inertial`` element, which MuJoCo requires; a
-    compiler flag keeps fixed links in MuJoCo.
-
-    Args:
-        joint: from :meth:`Identification.to_joint`. The limits are the recorded range; a hinge that made a
-            full turn in the recording is ``continuous``.
-        mass: kg, mass of the child, a solid sphere of 0.1 m radius; poses do not determine masses.
-
-    Raises:
-        ValueError: for a ball whose rotations come near the gimbal lock of three hinges, a contact that
-            allows every pose, a free body, or a mass that is not positive.
+    compiler flag keeps fixed links in MuJoCo. A hinge that made a full turn in the recording is
+    ``continuous``. Arguments and errors as in :func:`to_mjspec`; a ValueError is also raised for a ball whose
+    rotations come near the gimbal lock of three hinges.
     """
     robots.check_writable(joint, "URDF", mass)
     try:
@@ -42,16 +35,14 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
     element(robot, "link", name=joint.parent)
     last, place = joint.parent, np.zeros(3)
     for name, part in zip(robots.part_names(joint), joint.parts, strict=True):
-        _add_part(robot, name, part, last, place)
-        _add_link(robot, f"{name}_link", robots.LINK_MASS_FRACTION * mass)
+        _add_part(robot, name, part, last, place, mass)
         last, place = f"{name}_link", part.point
         if part.pitch:
             low, high = sorted((part.pitch * part.low, part.pitch * part.high))
             slide = JointPart("slide", part.axis, part.point, low, high)
             thread = f"{joint.child}_slide"
-            made = _add_part(robot, thread, slide, last, place)
+            made = _add_part(robot, thread, slide, last, place, mass)
             element(made, "mimic", joint=name, multiplier=part.pitch, offset="0")
-            _add_link(robot, f"{thread}_link", robots.LINK_MASS_FRACTION * mass)
             last = f"{thread}_link"
     mount = element(robot, "joint", name=f"{joint.child}_fixed", type="fixed")
     _add_origin(mount, joint.home[:3, 3] - place, robots.roll_pitch_yaw(joint.home[:3, :3]))
@@ -62,9 +53,9 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
 
 
 def _add_part(
-    robot: ElementTree.Element, name: str, part: JointPart, last: str, place: np.ndarray
+    robot: ElementTree.Element, name: str, part: JointPart, last: str, place: np.ndarray, mass: float
 ) -> ElementTree.Element:
-    """Add a hinge or slide to a link whose origin has a given position in the parent."""
+    """Add a hinge or slide, and its link, to a link whose origin has a given position in the parent."""
     kind = "prismatic" if part.kind == "slide" else "continuous" if robots.is_endless(part) else "revolute"
     made = element(robot, "joint", name=name, type=kind)
     _add_origin(made, part.point - place, np.zeros(3))
@@ -73,6 +64,7 @@ def _add_part(
     element(made, "axis", xyz=part.axis)
     limits = {} if robots.is_endless(part) else {"lower": part.low, "upper": part.high}
     element(made, "limit", effort=_EFFORT, velocity=_VELOCITY, **limits)
+    _add_link(robot, f"{name}_link", robots.LINK_MASS_FRACTION * mass)
     return made
 
 

@@ -53,13 +53,15 @@ class JointPart:
         return 3 if self.kind == "ball" else 1
 
 
+def split_coordinates(parts: Sequence[JointPart], coordinates: np.ndarray) -> list[np.ndarray]:
+    """Return views of the coordinates (..., n) of a chain, one (..., width) for every part."""
+    return np.split(coordinates, np.cumsum([part.width for part in parts], dtype=int), axis=-1)[:-1]
+
+
 def chain_poses(parts: Sequence[JointPart], home: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
     """Compute poses (..., 4, 4), m, of the child in the parent from coordinates (..., n), rad and m."""
     pose = np.broadcast_to(np.eye(4), (*coordinates.shape[:-1], 4, 4))
-    first = 0
-    for part in parts:
-        values = coordinates[..., first : first + part.width]
-        first += part.width
+    for part, values in zip(parts, split_coordinates(parts, coordinates), strict=True):
         moved = np.tile(np.eye(4), (*values.shape[:-1], 1, 1))
         if part.kind == "slide":
             moved[..., :3, 3] = values * part.axis
@@ -81,11 +83,9 @@ def chain_coordinates(
     """
     chunks = (poses[first : first + _CHUNK] for first in range(0, len(poses), _CHUNK))
     found = np.concatenate([_nearest(parts, home, chunk, length) for chunk in chunks])
-    first = 0
-    for part in parts:
+    for part, values in zip(parts, split_coordinates(parts, found), strict=True):
         if part.kind == "hinge":
-            found[:, first] = np.unwrap(found[:, first])
-        first += part.width
+            values[:] = np.unwrap(values, axis=0)
     return found
 
 
@@ -101,13 +101,12 @@ def _nearest(parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray, le
     found = _first_guess(parts, home, poses)
     number = found.shape[-1]
     for _ in range(_STEPS if number else 0):
-        now = residuals(found)
         columns = [residuals(found + step) - residuals(found - step) for step in _SMALL * np.eye(number)]
         jacobian = np.stack(columns, axis=-1) / (2 * _SMALL)
         transposed = jacobian.swapaxes(-1, -2)
         square = transposed @ jacobian
         square += _DAMPING * np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(number)
-        change = np.linalg.solve(square, transposed @ now[..., None])[..., 0]
+        change = np.linalg.solve(square, transposed @ residuals(found)[..., None])[..., 0]
         found = found - change
         if np.abs(change).max() < _CONVERGED:
             break
@@ -158,9 +157,8 @@ def ball_hinges(point: np.ndarray, vectors: np.ndarray) -> tuple[JointPart, ...]
     """
     turns = rotation_matrices(vectors)
     main = np.linalg.eigh(vectors.T @ vectors)[1].T
-    bases = [main[list(order)] for order in permutations(range(3))]
-    for basis in bases:
-        basis[2] = np.cross(basis[0], basis[1])
+    bases = np.array([*permutations(main)])
+    bases[:, 2] = np.cross(bases[:, 0], bases[:, 1])
     # angle of the second hinge: the third axis leaves the plane normal to the first by this angle
     leaning = [np.abs(turns @ basis[2] @ basis[0]).max() for basis in bases]
     best = int(np.argmin(leaning))

@@ -17,7 +17,7 @@ from reframe_jax.constraints.catalogue import describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame, fixed_on_body
 from reframe_jax.constraints.types import AxisRelation, LinearType, distinct_axis, relation_of_cosine
 from reframe_jax.geometry.numpy_rotations import nearest_rotations
-from reframe_jax.joints.chain import JointPart, ball_hinges, chain_coordinates, chain_poses
+from reframe_jax.joints.chain import JointPart, ball_hinges, chain_coordinates, chain_poses, split_coordinates
 from reframe_jax.joints.joint import Joint, JointType
 
 _ROUNDS = 3  # rounds of averaging, until the home pose converges
@@ -147,12 +147,11 @@ def fit_joint(
     key = frame.linear_type, frame.angular_dof, frame.linear_dof
     entry = lookup(*key, geometry.relation, pitch is not None, universal is not None)
     name = describe(*key, geometry.relation) if entry is None else entry.name
-    if axes is not None and (
-        axes.shape != (2, 3) or not np.allclose(np.linalg.norm(axes, axis=1), 1, atol=1e-3)
-    ):
-        raise ValueError("Expected two unit vectors as the axes of a universal joint.")
-    if axes is not None and geometry.turns < 2:
-        raise ValueError("Universal axes need a constraint with at least two free rotations.")
+    if axes is not None:
+        if axes.shape != (2, 3) or not np.allclose(np.linalg.norm(axes, axis=1), 1, atol=1e-3):
+            raise ValueError("Expected two unit vectors as the axes of a universal joint.")
+        if geometry.turns < 2:
+            raise ValueError("Universal axes need a constraint with at least two free rotations.")
     if pitch is not None:
         if not (np.isfinite(pitch) and pitch != 0):
             raise ValueError(f"Expected a pitch in m/rad other than 0, not {pitch}.")
@@ -181,10 +180,8 @@ def _fit(geometry: _Geometry, plan: _Plan, names: dict[str, Any]) -> Joint:
     rotation_error = _rms(2 * np.arcsin(np.minimum(chord, 1)))
     if plan.second is not None and rotation_error > _UNIVERSAL:
         return _without_chain(geometry, names)
-    first, ranged = 0, []
-    for part in parts:
-        values = coordinates[:, first : first + part.width]
-        first += part.width
+    ranged = []
+    for part, values in zip(parts, split_coordinates(parts, coordinates), strict=True):
         if part.kind == "ball":
             high = float(np.linalg.norm(values, axis=-1).max())
             ranged.append(replace(part, high=high, hinges=ball_hinges(part.point, values)))

@@ -46,10 +46,8 @@ class Joint:
             of its parts, in this order. Empty for fixed and floating joints, and for a constraint that no
             chain reproduces.
         gauge: sentences that name each choice that the motion does not determine, and the value chosen.
-        position_error: m, RMS distance between the recorded origin of the child and the origin that the joint
-            gives.
-        rotation_error: rad, RMS angle between the recorded orientation and the orientation that the joint
-            gives.
+        position_error, rotation_error: m and rad, RMS distance and angle between the recorded pose of the
+            child and the pose that the joint gives.
         length: m, position error that has the same weight as an orientation error of 1 rad when coordinates
             are computed from poses.
         is_envelope: whether the parts reach the poses of the constraint but constrain fewer velocities. For
@@ -109,8 +107,7 @@ class Joint:
     def without_balls(self) -> "Joint":
         """Return the joint with three hinges in place of every ball, for formats without ball joints.
 
-        Raises:
-            ValueError: if the recorded rotations come near the gimbal lock of the three hinges.
+        A ValueError is raised if the recorded rotations come near the gimbal lock of the three hinges.
         """
         if all(part.kind != "ball" for part in self.parts):
             return self

@@ -1,6 +1,6 @@
 """Picture of a demonstration on the simulated arm."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import mujoco
@@ -25,15 +25,7 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
     The left panel shows the arm at the first, middle and last sample (the first one palest), the path of the
     TCP, and the true constraint frame. Free axes are solid, constrained axes dashed, and axes of free
     rotation green. The right panels show the motion along the free axes, and the moments and forces of the
-    constraint on the tool along the constrained axes.
-
-    Args:
-        made: a single demonstration.
-        arm: the arm of the demonstration, or its name.
-        title: title of the figure; none by default.
-
-    Raises:
-        ValueError: for a batch.
+    constraint on the tool along the constrained axes. A ValueError is raised for a batch.
     """
     if np.ndim(made.status_code):
         raise ValueError("A batch has several demonstrations: index one first, made[i].")
@@ -87,8 +79,7 @@ def _joint_points(joints: np.ndarray, arm: Arm) -> np.ndarray:
 def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:
     truth, shown = made.truth, [0, len(made.times) // 2, len(made.times) - 1]
     path = np.asarray(made.exact_poses)[:, :3, 3]
-    located = locate_on_host(truth, np.asarray(made.exact_poses)[shown])
-    triads, rotation_axes = np.asarray(located.linear_axes), np.asarray(located.angular_axes)
+    located: Any = locate_on_host(truth, np.asarray(made.exact_poses)[shown])
     turns = turning_axes(truth.angular_dof)
     extent = [path, path[shown] + located.lever]
     for row, (index, alpha) in enumerate(zip(shown, (0.25, 0.5, 1.0), strict=True)):
@@ -98,8 +89,8 @@ def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:
             *points.T, "o-", color=BODY, linewidth=3.5, markersize=4, alpha=alpha, solid_capstyle="round"
         )
         segment(axes, path[index], origin, linestyle=":", color="black", linewidth=1, alpha=alpha)
-        turning = 0.12 * rotation_axes[row].T[turns]
-        draw_frame(axes, origin, 0.13 * triads[row], turning, truth.linear_dof, alpha)
+        turning = 0.12 * located.angular_axes[row].T[turns]
+        draw_frame(axes, origin, 0.13 * located.linear_axes[row], turning, truth.linear_dof, alpha)
     axes.plot(*path.T, color="black", linewidth=1.5, label="path of the TCP")
     draw_legend(axes, truth.linear_type, truth.linear_dof, bool(turns.any()))
     set_limits(axes, np.concatenate(extent))

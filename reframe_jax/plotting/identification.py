@@ -45,20 +45,12 @@ def plot_identification(
     The right panels show the amplitude of every axis (RMS displacement, logarithmic) with the probability
     that the axis is free. Below are the velocities along the axes over time, from pairs of consecutive poses,
     in the colours of the bars. Outliers are crosses in space and along the time axis, and not part of the
-    path. Rows that were left out when the file was read are short lines along the time axis.
+    path. Rows that were left out when the file was read are short lines along the time axis, at the times
+    ``left_out`` (M,), s: ``left_out_times`` of a recording.
 
-    Args:
-        poses: (K+1, 4, 4), m.
-        found: identification of these poses.
-        times: (K+1,) s.
-        thresholds: the thresholds of the identification, drawn as lines; none by default.
-        discretization: the discretization of the identification.
-        title: title of the figure, by default the name of the constraint.
-        left_out: (M,) s, times of rows that were left out when the file was read: ``left_out_times`` of a
-            recording.
-
-    Raises:
-        ValueError: for a batch, or a window without a result.
+    The poses (K+1, 4, 4), m, at the times (K+1,), s, are those that were identified, with the same
+    discretization and thresholds, which are drawn as lines. By default, the title is the name of the
+    constraint. A ValueError is raised for a batch, or a window without a result.
     """
     figure = new_figure(10, 7.2)
     figure.set_layout_engine("none")
@@ -68,8 +60,7 @@ def plot_identification(
         raise ValueError(f"There is nothing to draw: {found.status.message}")
     host = jax.device_get(found)
     poses, times = np.asarray(poses), np.asarray(times)
-    steps = jnp.asarray(np.diff(times))
-    velocities = frame_velocities(jnp.asarray(poses), steps, found, discretization)
+    velocities = frame_velocities(jnp.asarray(poses), jnp.asarray(np.diff(times)), found, discretization)
     angular, linear = jax.device_get(velocities)
     figure.suptitle(host.name if title is None else title, fontsize=15)
     _draw_space(figure.add_axes((-0.02, 0.06, 0.5, 0.74), projection="3d"), poses, host)
@@ -80,8 +71,8 @@ def plot_identification(
     _draw_velocities(top, middle, linear, host.linear.dof, limits[0], "m/s")
     _draw_velocities(bottom, middle, angular, host.angular.dof, limits[1], "rad/s")
     top.tick_params(labelbottom=False)
-    _draw_amplitudes(figure.add_axes((left, 0.81, width, 0.11)), host.linear, "translation", "mm")
-    _draw_amplitudes(figure.add_axes((left, 0.615, width, 0.11)), host.angular, "rotation", "mrad")
+    _draw_amplitudes(figure.add_axes((left, 0.81, width, 0.11)), host.linear, "translation along", "mm")
+    _draw_amplitudes(figure.add_axes((left, 0.615, width, 0.11)), host.angular, "rotation about", "mrad")
     for when, style in ((times[~np.asarray(host.counted)], OUTLIERS), (np.asarray(left_out), NOT_READ)):
         for graph in (top, bottom) if len(when) else ():
             along = graph.get_xaxis_transform()
@@ -146,13 +137,10 @@ def _draw_amplitudes(axes: "Axes", frame: AngularFrame | LinearFrame, motion: st
         chance = "" if np.isnan(probability) else f", P(free) {format_probability(probability)}"
         text = f" {two_digits(size)} {unit}{chance}"
         axes.text(float(size), float(place), text, va="center", fontsize=FONT)
-    freedom = ("constrained", "free")
-    axes.set_yticks(
-        places, [f"axis {i}, {freedom[int(free)]}" for i, free in zip(places, frame.dof, strict=True)]
-    )
+    names = [f"axis {i}, {'free' if free else 'constrained'}" for i, free in enumerate(frame.dof, 1)]
+    axes.set_yticks(places, names)
     axes.invert_yaxis()
-    axes.set_xlabel(f"{motion} along the axis, RMS [{unit}]".replace("rotation along", "rotation about"))
-    axes.xaxis.label.set_fontsize(FONT)
+    axes.set_xlabel(f"{motion} the axis, RMS [{unit}]", fontsize=FONT)
     axes.tick_params(labelsize=FONT)
     axes.spines[["top", "right"]].set_visible(False)
 

@@ -23,12 +23,8 @@ def plot_segmentation(poses: ArrayLike, found: Segmentation, *, title: str | Non
     """Draw a time line of constraints, and the velocities along the axes of the frame of each segment.
 
     Segments with the same constraint have the same colour; a body at rest is grey. A dark band around each
-    boundary is its 95 % interval. Velocities along free axes are blue, along constrained axes orange.
-
-    Args:
-        poses: (N, 4, 4) m, the segmented poses.
-        found: segmentation of these poses.
-        title: title of the figure; none by default.
+    boundary is its 95 % interval. Velocities along free axes are blue, along constrained axes orange. The
+    poses (N, 4, 4), m, are those that were segmented.
     """
     figure = new_figure(10, 6)
     line, top, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(0.7, 1, 1))
@@ -83,9 +79,8 @@ def _draw_velocities(axes: "Axes", found: Segmentation, velocities: np.ndarray, 
 def segment_velocities(poses: np.ndarray, found: Segmentation) -> tuple[np.ndarray, np.ndarray]:
     """Compute velocities along the axes of the frame that is valid at each time, from segmented poses.
 
-    Returns:
-        Angular velocities, (N, 3) rad/s, and linear velocities of the frame's origin, (N, 3) m/s, over an
-        eighth of the motion time about each pose. NaN near boundaries and in segments without identification.
+    These are angular velocities, (N, 3) rad/s, and velocities of the frame's origin, (N, 3) m/s, over an
+    eighth of the motion time about each pose. NaN near boundaries and in segments without identification.
     """
     poses = np.asarray(poses, float)
     centre = poses[:, :3, 3].mean(axis=0)

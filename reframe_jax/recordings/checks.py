@@ -4,7 +4,7 @@ import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import nearest_rotations, quaternions_to_matrices, rotation_vectors
 from reframe_jax.recordings.continuity import is_unordered
-from reframe_jax.recordings.conventions import keeps_a_point_better, sample_rows
+from reframe_jax.recordings.conventions import angles_between, keeps_a_point_better, sample_rows
 from reframe_jax.recordings.lost import find_lost_poses
 from reframe_jax.recordings.recording import RecordingError, Rows, name_rows
 from reframe_jax.recordings.selection import ANGLE_UNITS, UNITS, Selection
@@ -136,8 +136,7 @@ def check_turns(rows: Rows, poses: np.ndarray, wanted: Selection, unordered: boo
     own, other, read, meant = "rad", "deg", "rad", "degrees"
     if angles.unit != 1:
         own, other, read, meant = other, own, meant, read
-    steps = poses[1:, :3, :3] @ poses[:-1, :3, :3].swapaxes(1, 2)
-    rate = float(np.median(np.linalg.norm(rotation_vectors(steps), axis=1) / np.diff(rows.times)))
+    rate = float(np.median(angles_between(poses[:-1, :3, :3], poses[1:, :3, :3]) / np.diff(rows.times)))
     sentence = f"read in {read}, the angles turn the body at {rate:.2g} rad/s"
     advice = f"if they are in {meant}, give angle_unit={other!r} (--angle-unit {other})"
     if angles.stated:
@@ -233,9 +232,8 @@ def leave_out_lost(rows: Rows, poses: np.ndarray) -> np.ndarray:
             why = f"the {part} is {'' if exact else 'close to '}{why}"
         if kind in ("frozen", "end"):
             why = why.replace("pose", _repeated(poses[mine], poses[np.flatnonzero(mine) - 1]), 1)
-        starts, stops = np.flatnonzero(np.diff(mine, prepend=False, append=False)).reshape(-1, 2).T
-        longest = np.argmax(stops - starts)
-        start, stop = starts[longest], stops[longest]
+        runs = np.flatnonzero(np.diff(mine, prepend=False, append=False)).reshape(-1, 2)
+        start, stop = runs[np.argmax(np.diff(runs))]
         before, after = np.flatnonzero(kept[:start]), np.flatnonzero(kept[stop:]) + stop
         back = f" at {rows.word} {where[after[0]]}" if len(after) else ""
         jump = ""

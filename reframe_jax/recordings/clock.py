@@ -5,8 +5,7 @@ from decimal import Decimal
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import rotation_vectors
-from reframe_jax.recordings.conventions import sample_rows
+from reframe_jax.recordings.conventions import angles_between, sample_rows
 from reframe_jax.recordings.recording import EPOCH, RecordingError, Rows, is_path
 from reframe_jax.recordings.selection import TIME_UNITS, Selection, unit_of
 
@@ -85,8 +84,7 @@ def _check_seconds(rows: Rows, times: np.ndarray) -> None:
 
 def _likely_unit(step: float, path: bool) -> str:
     """Return the unit in which a time step is the most usual one."""
-    usual = _USUAL[0 if path else 1]
-    return min(TIME_UNITS, key=lambda unit: abs(math.log(step * TIME_UNITS[unit] / usual)))
+    return min(TIME_UNITS, key=lambda unit: abs(math.log(step * TIME_UNITS[unit] / _USUAL[0 if path else 1])))
 
 
 def note_unit(rows: Rows, poses: np.ndarray, unordered: bool) -> None:
@@ -107,8 +105,7 @@ def note_unit(rows: Rows, poses: np.ndarray, unordered: bool) -> None:
     some = sample_rows(len(poses) - lag)
     spans, before, after = rows.times[some + lag] - rows.times[some], poses[some], poses[some + lag]
     moved = np.median(np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=1) / spans)
-    turns = rotation_vectors(after[:, :3, :3] @ before[:, :3, :3].swapaxes(1, 2))
-    turned = np.median(np.linalg.norm(turns, axis=1) / spans)
+    turned = np.median(angles_between(before[:, :3, :3], after[:, :3, :3]) / spans)
     vehicle = np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0)) > _ROOM
     if (moved > _SWIFT and not vehicle) or (turned > _TURNING and rows.angles is None):
         rows.notes.append(

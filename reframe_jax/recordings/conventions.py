@@ -72,9 +72,8 @@ def check_order(rows: Rows, options: Set[str], poses: np.ndarray, unordered: boo
     some = sample_rows(len(poses))
     positions, own = poses[some, :3, 3], poses[some, :3, :3]
     read, others = _other_readings(rows, options, own, some, wanted)
-    clear = _CLEAR_CONVENTION if rows.angles is not None else 0.0
     for word, judge, least in (
-        ("constrained", fits_better, clear),
+        ("constrained", fits_better, 0.0 if rows.angles is None else _CLEAR_CONVENTION),
         ("constrained", keeps_a_point_better, 0.0) if unordered else ("smooth", _is_smoother, 0.0),
     ):
         found = [float(judge(positions, own, turned)) for _, _, turned in others]
@@ -104,9 +103,8 @@ def _other_readings(
         numbers = reorder(rows.values[some, 3:], rows.order, other)
         turned = quaternions_to_matrices(numbers / np.linalg.norm(numbers, axis=1, keepdims=True))
         remedy = f"order in the file; if it is {other}, give quaternion={other!r} (--quaternion {other})"
-        return f"the quaternions are read in the order {rows.order}", [
-            (f"in the order {other}", remedy, turned)
-        ]
+        meant = f"in the order {other}"
+        return f"the quaternions are read in the order {rows.order}", [(meant, remedy, turned)]
     if rows.values.shape[1] > 7 and rows.angles is None and "body" not in options:
         meant = "if they are read column by column"
         return "the matrices are read row by row", [(meant, "order in the file", own.swapaxes(1, 2))]
@@ -116,6 +114,11 @@ def _other_readings(
 def sample_rows(count: int) -> np.ndarray:
     """Select 400 rows (M,) or fewer out of ``count``, evenly, for a comparison."""
     return np.linspace(0, count - 1, min(count, _ROWS)).astype(int)
+
+
+def angles_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return the angles (N,), rad, between rotations (N, 3, 3)."""
+    return np.linalg.norm(rotation_vectors(after @ before.swapaxes(1, 2)), axis=1)
 
 
 def fits_better(positions: np.ndarray, own: np.ndarray, other: np.ndarray) -> float:
@@ -159,10 +162,7 @@ def _is_smoother(positions: np.ndarray, own: np.ndarray, other: np.ndarray) -> b
 
     The arguments are those of :func:`fits_better`; the positions have no effect.
     """
-    longest = [
-        np.linalg.norm(rotation_vectors(turned[1:] @ turned[:-1].swapaxes(1, 2)), axis=1).max()
-        for turned in (own, other)
-    ]
+    longest = [angles_between(turned[:-1], turned[1:]).max() for turned in (own, other)]
     return bool(longest[0] > max(_LEAP, _LEAPS * longest[1]))
 
 
@@ -170,8 +170,7 @@ def _lag(turned: np.ndarray) -> int | None:
     """Rows between the two poses of a velocity, so that most turn enough; None if the body hardly turns."""
     lag = 1
     while 2 * lag < len(turned):
-        between = turned[lag:] @ turned[:-lag].swapaxes(1, 2)
-        if np.quantile(np.linalg.norm(rotation_vectors(between), axis=1), 0.75) > _TURN:
+        if np.quantile(angles_between(turned[:-lag], turned[lag:]), 0.75) > _TURN:
             return lag
         lag = lag + 1 + lag // 3
     return None

@@ -36,16 +36,11 @@ _PAST = 200  # rows from which noise and speed are estimated
 
 
 def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> np.ndarray:
-    """Find the rows that are not poses.
+    """Find the rows of poses (K, 4, 4), m, that are not poses; by default, times (K,), s, are evenly spaced.
 
-    Args:
-        poses: (K, 4, 4), m.
-        times: (K,) s, increasing; by default, rows are evenly spaced.
-
-    Returns:
-        (K,) str, the reason for every row, empty for poses: "missing" (not finite), "origin" (position 0, 0,
-        0), "identity" (the orientation is the identity), "constant" (another number that repeats), "frozen"
-        (repeats the previous pose), or "end" (repeats the previous pose to the end of the recording).
+    The result (K,) is the reason for every row, empty for poses: "missing" (not finite), "origin" (position
+    0, 0, 0), "identity" (the orientation is the identity), "constant" (another number that repeats), "frozen"
+    (repeats the previous pose), or "end" (repeats the previous pose to the end of the recording).
     """
     poses = np.asarray(poses, float)
     clock = np.arange(len(poses), dtype=float) if times is None else np.asarray(times, float)
@@ -107,7 +102,7 @@ class _Path:
     def runs(self) -> np.ndarray:
         """(M, 2) first row, and row after the last row, of runs of equal rows."""
         edges = np.flatnonzero(np.diff(self.keys)) + 1
-        return np.column_stack([np.append(0, edges), np.append(edges, len(self.value))])
+        return np.column_stack([np.append(0, edges), np.append(edges, len(self.keys))])
 
     def jumps(self, runs: np.ndarray, limit: float, ignored: np.ndarray) -> np.ndarray:
         """Return whether the shorter and the longer step to and from runs (M, 2) are jumps, bool (M, 2).
@@ -197,13 +192,9 @@ def _noisy(paths: tuple[_Path, _Path], kinds: np.ndarray) -> None:
         if lengths.max() < _REPEATS:
             continue
         means = np.add.reduceat(path.numbers, starts) / lengths[:, None]
-        zero, still = (
-            np.maximum.reduceat(np.linalg.norm(path.numbers - centre, axis=1), starts) < limit
-            for centre, limit in (
-                (path.origin, near),
-                (np.repeat(means, lengths, axis=0), np.minimum(near, _SLOW * usual * lengths)),
-            )
-        )
+        zero = _reaches(path.numbers, path.origin, starts) < near
+        spans = _reaches(path.numbers, np.repeat(means, lengths, axis=0), starts)
+        still = spans < np.minimum(near, _SLOW * usual * lengths)
         several = still & (lengths >= _REPEATS)
         if not several.any() or still.all():
             continue
@@ -220,13 +211,18 @@ def _noisy(paths: tuple[_Path, _Path], kinds: np.ndarray) -> None:
         known = np.stack([before >= 0, after < len(pieces)])
         inside &= several & known.all(axis=0)
         zero &= inside | (several & ~known.all(axis=0) & (distant & known).any(axis=0))
-        turned = np.linalg.norm(paths[1].numbers - paths[1].origin, axis=1)
-        identity = np.maximum.reduceat(turned, starts) < _STILL if path is paths[0] else zero
+        turn = paths[1]
+        identity = _reaches(turn.numbers, turn.origin, starts) < _STILL if path is not turn else zero
         lost = np.where(zero, np.where(identity, "identity", "origin"), np.where(inside, "constant", ""))
         for kind in {*lost} - {""}:  # the same number elsewhere is lost too
             longest = np.argmax(np.where(lost == kind, lengths, 0))
             lost[several & (np.linalg.norm(means - means[longest], axis=1) < near)] = kind
         kinds[:] = np.where(kinds == "", np.repeat(lost, lengths), kinds)
+
+
+def _reaches(numbers: np.ndarray, centres: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """Largest distances of the rows of pieces, which begin at ``starts``, from centres (k,) or (N, k)."""
+    return np.maximum.reduceat(np.linalg.norm(numbers - centres, axis=1), starts)
 
 
 def _frozen(paths: tuple[_Path, _Path], kinds: np.ndarray) -> None:

@@ -96,16 +96,10 @@ def load_recording(
 
 
 def list_contents(path: str | Path) -> tuple[str, list[Entry] | None]:
-    """List the data in a file: topics, frames, bodies, markers or columns.
+    """List the data in a file or folder: topics, frames, bodies, markers or columns.
 
-    Args:
-        path: the file or folder.
-
-    Returns:
-        The name of the format, and the data; None for formats with a single recording.
-
-    Raises:
-        RecordingError: if the file cannot be read.
+    The result is the name of the format, and the data; None for formats with a single recording. A
+    RecordingError is raised if the file cannot be read.
     """
     path = Path(path)
     with _in_one_line(path):

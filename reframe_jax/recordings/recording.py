@@ -69,16 +69,10 @@ class Recording:
     left_out: tuple[LeftOut, ...] = ()
 
     def unused(self, counted: ArrayLike) -> tuple[LeftOut, ...]:
-        """List all rows of the file that an identification did not use, with the reasons.
+        """List all rows that an identification did not use, with the reasons: ``left_out`` and the outliers.
 
-        Args:
-            counted: (K+1,) bool, ``counted`` of the identification of these poses.
-
-        Returns:
-            ``left_out`` and the outliers. Rows count from 0 if the poses are from no file.
-
-        Raises:
-            ValueError: if the shape of ``counted`` differs from the shape of ``times``.
+        The argument (K+1,) bool is ``counted`` of the identification of these poses; another shape raises a
+        ValueError. Rows count from 0 if the poses are from no file.
         """
         used = np.asarray(counted, dtype=bool)
         if used.shape != self.times.shape:
@@ -163,8 +157,7 @@ class Rows:
 
         By default, the note gives the numbers of the rows and the reason.
         """
-        dropped = self.where[~mask]
-        if len(dropped):
+        if len(dropped := self.where[~mask]):
             self.notes.append(note or f"{name_rows(self.word, dropped)} left out: {why}.")
             self.left_out.append(LeftOut(np.sort(dropped), reason, why))
             self.take(mask)

@@ -19,19 +19,9 @@ def relative_poses(a: Recording, b: Recording) -> Recording:
 
     The pose of ``b`` is interpolated: the position linearly, the orientation by a rotation about one axis at
     a constant rate. Times before or after ``b``, and times in gaps of ``b`` longer than five of its median
-    steps, are left out with a note.
-
-    Args:
-        a: the body whose motion is wanted.
-        b: the body in whose frame the motion is expressed. Both recordings must have the same ground frame
-            and the same clock; their origins may differ.
-
-    Returns:
-        The recording of ``a`` with poses in the frame of ``b``, and with the notes of both. Wrenches are
-        unchanged.
-
-    Raises:
-        RecordingError: if the recordings have fewer than four times in common.
+    steps, are left out with a note. Both recordings must have the same ground frame and the same clock; their
+    origins may differ. The result has the notes of both; wrenches are unchanged. A RecordingError is raised
+    if the recordings have fewer than four times in common.
     """
     if len(b.times) < 2:
         raise RecordingError(f"{b.path}: expected two poses or more of the other body, found {len(b.times)}.")
@@ -71,9 +61,8 @@ def interpolate_poses(
     """
     after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
     steps = np.diff(times)
-    exact = times[np.clip(np.searchsorted(times, wanted), 0, len(times) - 1)] == wanted
     inside = (wanted >= times[0]) & (wanted <= times[-1])
-    known = exact | (inside & (steps[after - 1] <= _GAP * np.median(steps)))
+    known = np.isin(wanted, times) | (inside & (steps[after - 1] <= _GAP * np.median(steps)))
     after, wanted = after[known], wanted[known]
     fraction = (wanted - times[after - 1]) / steps[after - 1]
     found = poses[after - 1]

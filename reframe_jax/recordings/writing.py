@@ -10,21 +10,15 @@ from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
 from reframe_jax.recordings.checks import make_poses
 from reframe_jax.recordings.recording import HEADER, RecordingError, Rows
 
-_WRENCH_HEADER = "fx,fy,fz,tx,ty,tz"
-
 
 def save_recording(
     path: str | Path, times: ArrayLike, poses: ArrayLike, *, wrenches: ArrayLike | None = None
 ) -> None:
     """Write a recording: a ``.csv`` of ``t,x,y,z,qx,qy,qz,qw``, or an ``.npz`` of ``times`` and ``poses``.
 
-    Both formats can contain wrenches: columns ``fx,fy,fz,tx,ty,tz``, or an array ``wrenches``.
-
-    Args:
-        path: the file; the suffix selects the format.
-        times: (K+1,) s.
-        poses: (K+1, 4, 4), m.
-        wrenches: (K+1, 6) force in N, then torque in Nm, written unchanged; NaN where a number is missing.
+    The suffix selects the format. Times are (K+1,) s, and poses (K+1, 4, 4) m. Both formats can contain
+    wrenches, columns ``fx,fy,fz,tx,ty,tz`` or an array ``wrenches``: (K+1, 6) force in N, then torque in Nm,
+    written unchanged; NaN where a number is missing.
 
     Raises:
         RecordingError: if the shapes do not fit each other, a number is not finite, a pose is not a rigid
@@ -51,7 +45,7 @@ def save_recording(
         elif path.suffix.lower() == ".csv":
             quaternions = matrices_to_quaternions(poses[:, :3, :3])
             table = np.column_stack([times, poses[:, :3, 3], quaternions, forces])
-            header = HEADER if wrenches is None else f"{HEADER},{_WRENCH_HEADER}"
+            header = HEADER if wrenches is None else f"{HEADER},fx,fy,fz,tx,ty,tz"
             with path.open("w", newline="", encoding="utf-8") as file:
                 csv.writer(file, lineterminator="\n").writerows([header.split(","), *table.tolist()])
         else:

@@ -21,8 +21,7 @@ class GeometryErrors:
     """Geometric errors; NaN for quantities that the constraint does not determine.
 
     Attributes:
-        angular: (...) rad, angle between the identified and the true determined axis of the angular frame.
-        linear: (...) rad, angle between the identified and the true determined axis of the linear frame.
+        angular, linear: (...) rad, angle between the identified and the true determined axis of each frame.
         position: (...) m, distance along the determined components of the position.
     """
 
@@ -33,8 +32,7 @@ class GeometryErrors:
 
 def _axis_error(rotvec: jax.Array, truth: jax.Array, dof: tuple[int, int, int]) -> jax.Array:
     """Angle between the true distinct axis and the frame's, which is its slowest or fastest axis."""
-    odd = distinct_axis(dof)
-    if odd is None:
+    if (odd := distinct_axis(dof)) is None:
         return jnp.full(rotvec.shape[:-1], jnp.nan, dtype=rotvec.dtype)
     found = rotation_exp(rotvec)[..., :, 2 if sum(dof) == 1 else 0]
     true = jnp.broadcast_to(truth[..., :, odd].astype(found.dtype), found.shape)
@@ -51,21 +49,16 @@ def geometry_errors(
     As in the paper's simulations, the types are assumed to be known; see :func:`types_correct` for errors of
     the types. For the twelve constraints of the paper, positions are compared along the determined components
     of the catalogue (Table 2); the angular and linear axes must agree at the start of the motion. For other
-    constraints, positions are compared along all components.
-
-    Args:
-        found: identifications of any batch shape.
-        truth: the true constraint, with geometry that broadcasts against ``found``.
-        start: (..., 4, 4) first true pose of {b} in {g}, m. It is needed if {b} and {g} are not aligned at
-            the start, because the axes and the position of GB and BG are in different bodies.
+    constraints, positions are compared along all components. The geometry of the truth broadcasts against the
+    identifications. ``start`` (..., 4, 4), m, is the first true pose of {b} in {g}. It is needed if {b} and
+    {g} are not aligned at the start, because the axes and the position of GB and BG are in different bodies.
     """
     angular = found.candidates.angular.rotvec[..., int(truth.angular_type), :]
     linear = found.candidates.linear.rotvec[..., int(truth.linear_type), :]
     assert found.candidates.linear.position is not None
     position = found.candidates.linear.position[..., int(truth.linear_type), :]
     entry = lookup(truth.linear_type, truth.angular_dof, truth.linear_dof)
-    unique = (True, True, True) if entry is None else entry.position
-    kept = [i for i in range(3) if unique[i]]
+    kept = [i for i in range(3) if entry is None or entry.position[i]]
     if entry is not None:  # find the true axis with the degrees of freedom of each axis of the catalogue
         listed, true = _sorted_axes(entry), _sorted_axes(truth)
         kept = [true[listed.index(i)] for i in kept]
@@ -78,11 +71,10 @@ def geometry_errors(
         elif truth.linear_type == LinearType.BG:
             axes = matmul(turn, axes)
     offset = apply(jnp.swapaxes(axes, -1, -2), miss)
-    distance = jnp.linalg.norm(offset[..., kept], axis=-1) if kept else jnp.nan * position[..., 0]
     return GeometryErrors(
         angular=_axis_error(angular, truth.angular_axes, truth.angular_dof),
         linear=_axis_error(linear, truth.linear_axes, truth.linear_dof),
-        position=distance,
+        position=jnp.linalg.norm(offset[..., kept], axis=-1) if kept else jnp.nan * position[..., 0],
     )
 
 
@@ -95,12 +87,8 @@ def types_correct(found: Identification, truth: ConstraintFrame, *, ties: bool =
     """Return whether the identified types express the true constraint, (...) bool.
 
     Both angular types express every constraint, except constraints with two free rotations. All linear types
-    express the constraints for which the catalogue names no type.
-
-    Args:
-        found: identifications of any batch shape.
-        truth: the true constraint.
-        ties: whether to accept an identified type that fits equally well as (is tied with) the true type.
+    express the constraints for which the catalogue names no type. ``ties`` accepts an identified type that
+    fits equally well as (is tied with) the true type.
     """
     entry = lookup(truth.linear_type, truth.angular_dof, truth.linear_dof)
     any_angular = sum(truth.angular_dof) != 2

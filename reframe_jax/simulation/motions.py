@@ -61,14 +61,14 @@ def disturb(poses: jax.Array, key: jax.Array, errors: PoseErrors, dt: float | ja
     error = error + errors.slow * drift
     turn, shift = jnp.split(sizes * error, 2, axis=-1)
     rotation = matmul(rotations.rotation_exp(turn), poses[:, :3, :3])
-    quaternion = _rounded(rotations.rotation_to_quaternion(rotation), errors.rotation_ratio / 2, errors)
+    digit = errors.rounding * errors.rotation_ratio / 2
+    quaternion = round_to(rotations.rotation_to_quaternion(rotation), digit)
     quaternion = quaternion / jnp.linalg.norm(quaternion, axis=-1, keepdims=True)
     rotation = jnp.where(errors.rounding > 0, rotations.quaternion_to_rotation(quaternion), rotation)
-    return transforms.make_pose(rotation, _rounded(poses[:, :3, 3] + shift, 1.0, errors))
+    return transforms.make_pose(rotation, round_to(poses[:, :3, 3] + shift, errors.rounding))
 
 
-def _rounded(values: jax.Array, ratio: float | jax.Array, errors: PoseErrors) -> jax.Array:
-    """Round values to the nearest multiple of the rounding times a ratio; zero means no rounding."""
-    digit = jnp.asarray(errors.rounding * ratio)
+def round_to(values: jax.Array, digit: float | jax.Array) -> jax.Array:
+    """Round values to the nearest multiple of a digit; zero means no rounding."""
     unit = jnp.where(digit > 0, digit, 1)
     return jnp.where(digit > 0, unit * jnp.round(values / unit), values)

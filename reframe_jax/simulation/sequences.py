@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from reframe_jax.constraints.frame import ConstraintFrame, place_frame
 from reframe_jax.geometry import rotations
@@ -25,9 +24,7 @@ class SequenceSimulation:
     """A simulated recording of several constraints.
 
     Attributes:
-        times: (N,) s.
-        poses: (N, 4, 4) measured poses, errors included; m.
-        exact_poses: (N, 4, 4) poses without errors.
+        times, poses, exact_poses: (N,) s and (N, 4, 4) m, as in :class:`.Simulation`.
         truths: the constraints in order of time.
         boundaries: index of the first pose of each constraint after the first. This pose obeys both
             constraints.
@@ -50,20 +47,11 @@ def simulate_sequence(
 ) -> SequenceSimulation:
     """Simulate a body that moves under several consecutive constraints.
 
-    The poses and velocities are continuous: each motion starts from rest and ends at rest. Each constraint is
-    active for round(duration / dt) steps.
-
-    Args:
-        constraints: labels or names of the catalogue, such as "A" or "unconstrained", which get a random
-            geometry near the body; or frames, which are used without change.
-        key: JAX random key of the geometry, the motions and the errors.
-        durations: s, one duration for all constraints, or one per constraint.
-        dt: sample time, s.
-        errors: errors of the tracker; none by default.
-
-    Raises:
-        ValueError: without constraints, or for a wrong number of durations.
-        KeyError: for an unknown constraint.
+    The poses and velocities are continuous: each motion starts from rest and ends at rest. Constraints are
+    labels or names of the catalogue, such as "A" or "unconstrained", which get a random geometry near the
+    body; or frames, which are used without change. Each is active for round(duration / dt) steps, with one
+    duration, s, for all or one per constraint. The tracker has no errors by default. A ValueError is raised
+    without constraints, or for a wrong number of durations, a KeyError for an unknown constraint.
     """
     each = each_duration(constraints, durations)
     *keys, error_key = jax.random.split(key, len(constraints) + 1)
@@ -106,5 +94,4 @@ def _place(label: str, key: jax.Array, pose: jax.Array) -> ConstraintFrame:
     shift = jax.random.uniform(shift_key, (3,), minval=-_REACH, maxval=_REACH, dtype=pose.dtype)
     quaternion = jax.random.normal(turn_key, (4,), dtype=pose.dtype)
     axes = rotations.quaternion_to_rotation(quaternion / jnp.linalg.norm(quaternion))
-    frame = ConstraintFrame.named(label, rotvec=np.zeros(3), position=np.zeros(3))
-    return place_frame(frame, axes, pose[:3, 3] + shift, pose[:3, :3], pose[:3, 3])
+    return place_frame(ConstraintFrame.named(label), axes, pose[:3, 3] + shift, pose[:3, :3], pose[:3, 3])

@@ -52,8 +52,7 @@ class Simulation:
 
     Attributes:
         times: (K+1,) s.
-        poses: (K+1, 4, 4) measured poses, noise included; m.
-        exact_poses: (K+1, 4, 4) poses without noise.
+        poses, exact_poses: (K+1, 4, 4) m, measured poses, noise included, and poses without noise.
         truth: the constraint that was simulated.
     """
 
@@ -64,11 +63,7 @@ class Simulation:
 
 
 def paper_excitation(key: jax.Array) -> Excitation:
-    """Return the velocities of Overbeek et al. 2025, section 5.1; the key has no effect.
-
-    Returns:
-        A function from a time in s to the angular (3,) rad/s and linear (3,) m/s velocities along the axes.
-    """
+    """Return the velocities, rad/s and m/s, of Overbeek et al. 2025, section 5.1; the key has no effect."""
 
     def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
         one = jnp.ones_like(t)
@@ -114,8 +109,8 @@ def simulate(
 ) -> Simulation:
     """Simulate a body that moves under a constraint.
 
-    The function works under ``jit`` and ``vmap``, with batches of keys, noise levels or geometries of the
-    frame.
+    The recording has round(duration / dt) + 1 poses. The function works under ``jit`` and ``vmap``, with
+    batches of keys, noise levels or geometries of the frame.
 
     Args:
         constraint: label or name of a constraint, with the geometry of the paper, or any frame.
@@ -133,9 +128,6 @@ def simulate(
         pitch: m/rad, pitch of a screw: the velocity along each linear axis is the pitch times the velocity
             about the same angular axis, instead of the linear velocity of the excitation. By default 0.05 for
             the constraint "screw", and None (no screw) for other constraints.
-
-    Returns:
-        The recording with round(duration / dt) + 1 poses.
 
     Raises:
         KeyError: for an unknown constraint.
@@ -231,16 +223,10 @@ def _runge_kutta(
 
 @jax.jit
 def add_pose_noise(poses: jax.Array, key: jax.Array, sigma: float | jax.Array) -> jax.Array:
-    """Add Gaussian noise to positions and rotation vectors (paper, section 5.1).
+    """Add Gaussian noise to positions and rotation vectors of poses (..., 4, 4) (paper, section 5.1).
 
-    Args:
-        poses: (..., 4, 4).
-        key: JAX random key of the noise.
-        sigma: standard deviation of each position component, m; in rad and times 3 of each component of the
-            rotation vector.
-
-    Returns:
-        (..., 4, 4).
+    ``sigma`` is the standard deviation of each position component, m; in rad and times 3 of each component of
+    the rotation vector.
     """
     position_key, rotation_key = jax.random.split(key)
     shape, dtype = (*poses.shape[:-2], 3), poses.dtype

@@ -118,9 +118,8 @@ def read_part(
 ) -> tuple[dict[str, Any], Record]:
     """Read the arrays and the options of a part.
 
-    Raises:
-        ValueError: if the file is damaged or renamed, or was made with other options than the given ones, or
-            from an input with another checksum. The message names the file.
+    A ValueError that names the file is raised if it is damaged or renamed, or was made with other options
+    than the given ones, or from an input with another checksum.
     """
     if file.is_dir():
         raise _damaged(file, "it is a folder")
@@ -176,8 +175,7 @@ class Run:
     def open(folder: Path, codec: Codec, kind: str) -> "Run":
         """Open the run in a folder for reading; raises a ValueError if there is none."""
         run = Run(folder, codec, kind, {})
-        files = run.parts
-        if not files:
+        if not (files := run.parts):
             raise ValueError(f"{folder} contains no {kind} (part-*{codec.suffix}).")
         _, run.options = read_part(files[min(files)], codec)
         if run.options.get("kind") != kind:
@@ -192,11 +190,9 @@ class Run:
         return dict(sorted(found.items()))
 
     def resume(self) -> None:
-        """Check the first existing part, and remove temporary files of killed writers. Writes nothing.
+        """Check the first existing part as :func:`read_part`, and remove temporary files of killed writers.
 
-        Raises:
-            ValueError: if the first part is damaged or was made with other options.
-            OSError: if the folder does not exist and cannot be created.
+        Writes nothing. An OSError is raised if the folder does not exist and cannot be created.
         """
         if not self.folder.exists():  # before a long computation
             place = next(parent for parent in self.folder.absolute().parents if parent.exists())

@@ -26,8 +26,7 @@ def make_meter(progress: Progress | bool | None, unit: str) -> Progress:
         rate = done / (time.perf_counter() - begin)
         line = f"{done} {unit}, {rate:.0f}/s"
         if total:
-            filled = _BAR * done // total
-            bar = "#" * filled + "-" * (_BAR - filled)
+            bar = ("#" * (_BAR * done // total)).ljust(_BAR, "-")
             left = f", {(total - done) / rate:.0f} s left" if rate else ""
             line = f"[{bar}] {done} of {total} {unit}, {rate:.0f}/s{left}"
         print(f"\r{line}  ", end="\n" if done == total else "", file=sys.stderr, flush=True)

@@ -28,8 +28,7 @@ def describe_options(
     """
     parameters = inspect.signature(function).parameters.values()
     defaults = {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY and p.name not in without}
-    unknown = sorted(given.keys() - defaults.keys())
-    if unknown:
+    if unknown := sorted(given.keys() - defaults.keys()):
         raise TypeError(
             f"{function.__name__} has no option {', '.join(unknown)}; choose from {', '.join(defaults)}."
         )

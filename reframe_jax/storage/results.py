@@ -45,7 +45,8 @@ def identify_many(
     The part size limits the memory: about 200 MB in addition to the input for 8192 windows of 51 poses. The
     results equal those of :func:`identify` for any part size. The result of a single window differs by
     rounding errors up to about 1e-7, because another compiled program computes it. A killed run loses only
-    the current part; call the function again with the same arguments to resume.
+    the current part; call the function again with the same arguments to resume. The result is the path of the
+    folder.
 
     Args:
         windows: (N, K+1, 4, 4) poses: an array, a memory-mapped array (``np.load(file, mmap_mode="r")``), a
@@ -61,9 +62,6 @@ def identify_many(
             default if standard error is a terminal.
         **options: options of :func:`identify`.
 
-    Returns:
-        The path of the folder.
-
     Raises:
         ValueError: if the folder contains damaged results or results of other windows or options, or if the
             input is unusable. Nothing is written then.
@@ -78,6 +76,7 @@ def identify_many(
     if part_size < 1:
         raise ValueError(f"part_size must be at least 1, not {part_size}.")
     source: Any = windows
+    given = {name: values for name, values in (("times", times), ("dt", dt)) if values is not None}
     total = len(source) if hasattr(source, "shape") else None
     wanted = None if parts is None else set(_part_numbers(parts))
     _check_numbers(wanted, total, part_size)
@@ -95,8 +94,7 @@ def identify_many(
             seen = where.stop
             if wanted is not None and number not in wanted:
                 continue
-            timing = {"times": _rows(times, where, total), "dt": _rows(dt, where, total)}
-            timing = {name: values for name, values in timing.items() if values is not None}
+            timing = {name: _rows(values, where, total) for name, values in given.items()}
             source = checksum({"poses": poses, **timing})
             if pending is not None:
                 report(done := done + pending.result(), rows)
@@ -110,11 +108,8 @@ def identify_many(
 def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Identification:
     """Load the results in a folder written by :func:`identify_many`, as one batch of NumPy arrays.
 
-    Args:
-        folder: the folder given to :func:`identify_many`.
-        parts: numbers of the parts to load, by default all parts; if the windows came from an iterator, whose
-            length is unknown, all parts in the folder. Load a few parts at a time if the results do not fit
-            in memory.
+    By default, all parts are loaded; if the windows came from an iterator, whose length is unknown, all parts
+    in the folder. Give the numbers of a few parts at a time if the results do not fit in memory.
 
     Raises:
         ValueError: if the folder contains no results or results of another version, or if requested parts are
@@ -129,8 +124,7 @@ def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Iden
     wanted = list(range(count)) if parts is None else _part_numbers(parts)
     if not wanted:
         raise ValueError("parts must name at least one part to load.")
-    missing = [number for number in wanted if number not in stored]
-    if missing:
+    if missing := [number for number in wanted if number not in stored]:
         raise ValueError(
             f"{folder} is incomplete: {len(missing)} parts are missing, {missing[:_LISTED]} among them. "
             "Run identify_many again."
@@ -219,7 +213,7 @@ def _parts(windows: Any, size: int, wanted: set[int] | None) -> Iterator[tuple[i
 
 def _rows(values: Any, rows: slice, total: int | None) -> Any:
     """Rows of ``times`` or ``dt`` that belong to a part, if every window has a separate row."""
-    if values is None or np.ndim(values) < 2:
+    if np.ndim(values) < 2:
         return values
     if total is None or len(values) != total:
         raise ValueError(

@@ -44,10 +44,9 @@ def scene_box(windows: list[WindowTrack]) -> tuple[np.ndarray, float]:
 
 
 class Drawing:
-    """A scene that shows one window at one pose."""
+    """A scene that shows one window, of windows with a given size in m, at one pose."""
 
     def __init__(self, scene: "viser.SceneApi", size: float) -> None:
-        """Prepare a scene for windows with a given size in m."""
         self._scene = scene
         self._size = size
         power = 10.0 ** np.floor(np.log10(0.3 * size))
@@ -64,8 +63,7 @@ class Drawing:
         scene, size = self._scene, self._size
         self._root, self._window = scene.add_frame("/motion", show_axes=False), window
         self._path("path", window.poses[window.counted, :3, 3], BODY, 0.006)
-        out = window.poses[~window.counted, :3, 3]
-        if len(out):
+        if len(out := window.poses[~window.counted, :3, 3]):
             colour = _rgb(OUTLIERS["color"])
             scene.add_point_cloud(
                 "/motion/outliers", out, colour, point_size=0.02 * size, precision="float32"

@@ -22,6 +22,7 @@ _HOST = "127.0.0.1"
 _TICK = 0.05  # s between two poses during playback
 _VIEW = np.array([0.6, -0.88, 0.52])  # position of the camera relative to the centre, in scene sizes
 _FRAMES = 400  # largest number of poses in a file
+_CHART: Any = {"scales": {"x": {"time": False}}, "axes": ({"label": "time [s]"}, {}), "aspect": 1.6}
 _SIZE, _FONT = (3.5, 1.5), 7  # inches and points, of a plot in a file
 _SCENE_STYLE, _FILE_STYLE = (
     (Path(__file__).parent / name).read_text(encoding="utf-8") for name in ("page.css", "document.css")
@@ -58,15 +59,11 @@ class Page:
 
     The server listens on 127.0.0.1 only, in a separate thread; the page needs no network. With several
     windows, a second slider selects one. A port that is in use is replaced by the next free port. Keep a
-    reference to this object, and close the page at the end.
-
-    Raises:
-        ImportError: if viser is not installed.
-        ValueError: without windows.
+    reference to this object, and close the page at the end. An ImportError is raised if viser is not
+    installed, a ValueError without windows.
     """
 
     def __init__(self, windows: list[WindowTrack], *, title: str = "reframe_jax", port: int = 8080) -> None:
-        """Start the server."""
         self._windows = windows
         self._lock = threading.RLock()
         self._server, self._drawing = open_server(windows, port)
@@ -136,15 +133,10 @@ class Page:
                 data = (window.velocity_times, *(values for _, _, values in rows))
                 series: list[Any] = [{"label": "time [s]"}]
                 series += [{"label": label, "stroke": colour, "width": 1.5} for label, colour, _ in rows]
-                scales: dict[str, Any] = {"x": {"time": False}}
-                axes: Any = ({"label": "time [s]"}, {})
-                self._charts.append(
-                    gui.add_uplot(data, tuple(series), title=title, scales=scales, axes=axes, aspect=1.6)
-                )
+                self._charts.append(gui.add_uplot(data, tuple(series), title=title, **_CHART))
         with self._table:
-            self._charts.append(
-                gui.add_html(f"<pre style='font-size:9px;overflow-x:auto'>{html.escape(window.text)}</pre>")
-            )
+            text = f"<pre style='font-size:9px;overflow-x:auto'>{html.escape(window.text)}</pre>"
+            self._charts.append(gui.add_html(text))
 
     def _move_to_time(self) -> None:
         """Move the scene to the pose nearest to the time of the slider."""
@@ -190,17 +182,9 @@ def legend_html() -> str:
 def write_page(path: Path | str, windows: list[WindowTrack], *, title: str = "reframe_jax") -> None:
     """Write a page as one HTML file that plays all windows in a loop, with the velocities along the axes.
 
-    The file needs neither Python nor a network. It contains at most 400 poses; more are subsampled.
-
-    Args:
-        path: file to write.
-        windows: windows of one recording, in the order of time.
-        title: heading of the page.
-
-    Raises:
-        ImportError: if viser or Matplotlib is not installed.
-        ValueError: without windows.
-        OSError: if the file cannot be written.
+    The file needs neither Python nor a network. It contains at most 400 poses; more are subsampled. The
+    windows of one recording are in the order of time. Errors are those of :class:`Page`; Matplotlib is needed
+    too, and an OSError is raised if the file cannot be written.
     """
     server, drawing = open_server(windows, 0)
     try:

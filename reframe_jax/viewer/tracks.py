@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.frame import locate_on_host
-from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.constraints.types import AngularType
 from reframe_jax.export.table import to_table
 from reframe_jax.identification.results import Identification
 from reframe_jax.identification.velocities import frame_velocities
@@ -23,8 +23,7 @@ class FrameTrack:
         in_body: (3,) m, origin of the linear frame in the body; None if it is fixed in the ground.
         linear_axes: (K+1, 3, 3), columns are axes.
         angular_axes: (K+1, 3, 3), columns are axes.
-        linear_free: (3,) bool, whether each linear axis is free.
-        angular_free: (3,) bool, whether each angular axis is free.
+        linear_free, angular_free: (3,) bool, whether each axis is free.
         spread: (3, 3) m, square root of the covariance of the origin, in the body that the origin is fixed
             in; None if unknown.
         velocities: (K, 6) rad/s along the angular axes, then m/s along the linear axes; NaN where undefined.
@@ -47,8 +46,7 @@ class WindowTrack:
     Attributes:
         name: name of the constraint, or the reason why there is no result.
         text: the table of the result.
-        times: (K+1,) s.
-        poses: (K+1, 4, 4) m.
+        times, poses: (K+1,) s and (K+1, 4, 4) m.
         counted: (K+1,) bool, False for outliers.
         frame: the constraint frame; None for a window without a result.
         velocity_times: (K,) s, times of ``frame.velocities``.
@@ -66,17 +64,11 @@ class WindowTrack:
 def track_window(
     poses: ArrayLike, times: ArrayLike, found: Identification, *, covariance: ArrayLike | None = None
 ) -> WindowTrack:
-    """Compute the data of the page for a window.
+    """Compute the data of the page for a window of poses (K+1, 4, 4), m, at times (K+1,), s.
 
-    Args:
-        poses: (K+1, 4, 4), m.
-        times: (K+1,) s.
-        found: identification of these poses.
-        covariance: (3, 3) m^2, covariance of the linear frame's origin, in the body that the origin is fixed
-            in. It is drawn as an ellipsoid; by default, no ellipsoid is drawn.
-
-    Raises:
-        ValueError: for a batch; poses that were not identified; a matrix that is not a covariance.
+    The covariance (3, 3), m^2, of the linear frame's origin, in the body that the origin is fixed in, is
+    drawn as an ellipsoid; by default, no ellipsoid is drawn. A ValueError is raised for a batch, poses that
+    were not identified, or a matrix that is not a covariance.
     """
     if np.shape(found.status_code):
         raise ValueError("A batch has several frames: index one window first, found[i].")
@@ -92,10 +84,9 @@ def track_window(
     if host.status.failed:
         return WindowTrack(host.name, host.name, instants, places, counted, None, instants[:0])
     along = frame_velocities(jnp.asarray(places), jnp.asarray(np.diff(instants)), found)
-    velocities = np.concatenate(jax.device_get(along), axis=-1)
     middle = (instants[1:] + instants[:-1]) / 2
     located = locate_on_host(host.constraint_frame, places)
-    on_body = LinearType(int(host.linear.type_code)).position_body == AngularType.B
+    on_body = host.linear.frame_type.position_body == AngularType.B
     frame = FrameTrack(
         origins=places[:, :3, 3] + located.lever,
         in_body=np.asarray(host.linear.position, float) if on_body else None,
@@ -104,7 +95,7 @@ def track_window(
         linear_free=np.asarray(host.linear.dof, bool),
         angular_free=np.asarray(host.angular.dof, bool),
         spread=spread,
-        velocities=velocities,
+        velocities=np.concatenate(jax.device_get(along), axis=-1),
     )
     return WindowTrack(host.name, to_table(found), instants, places, counted, frame, middle)
 

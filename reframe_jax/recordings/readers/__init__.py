@@ -24,8 +24,6 @@ from reframe_jax.recordings.readers.vicon import VICON
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.selection import Selection, flag
 
-__all__ = ["READERS", "choose_reader"]
-
 READERS: tuple[Reader, ...] = (
     *(MOTIVE, VICON, QUALISYS, NDI, ECHO, KITTI, TRAJECTORY, TABLE),
     *(ARRAYS, BAG, C3D, TRC, MHA, PARQUET, HDF5),

@@ -12,7 +12,7 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -68,8 +68,7 @@ class _Samples:
     def rows(self, path: Path, static: bool = False) -> Rows:
         """Make rows, with the stamps as times, or the times of recording if no stamps were set."""
         stamps = np.asarray(self.stamps)
-        values = np.asarray(self.values).reshape(-1, 7)
-        rows = Rows(path, "message", np.arange(len(stamps)), values, None)
+        rows = Rows(path, "message", np.arange(len(stamps)), np.asarray(self.values).reshape(-1, 7), None)
         zero = 2 * np.count_nonzero(stamps) <= len(stamps)
         if not static and (zero or (len(stamps) > 1 and not np.ptp(stamps))):
             why = (
@@ -240,10 +239,8 @@ def _read_chain(path: Path, bag: _Bag, ground: str, body: str) -> Rows:
         poses = poses @ (here if along else invert_poses(here))
     if not known.any():
         raise RecordingError(f"{path}: the moving frames of the chain have no times in common.")
-    values = poses[:, :3].reshape(-1, 12)
     notes = [note for _, _, rows in chain for note in rows.notes]
-    joined = Rows(path, own.word, own.where, values, own.times, own.origin, notes)
-    joined.left_out = own.left_out
+    joined = replace(own, values=poses[:, :3].reshape(-1, 12), notes=notes)
     joined.keep(known, "another frame of the chain has no transform at that time", "relative")
     return joined
 

@@ -61,13 +61,12 @@ def _open(path: Path) -> dict[str, np.ndarray]:
     """Read the arrays that :func:`extract` writes, with errors as :class:`RecordingError`."""
     import_extra(path, "ezc3d", "c3d")
     _check_structure(path)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     with TemporaryDirectory() as folder:
         out = Path(folder, "out.npz")
         try:
             done = subprocess.run(
                 [sys.executable, "-P", "-c", _PROCESS, path.resolve(), out],
-                env=environment,
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
                 capture_output=True,
                 text=True,
                 errors="replace",
@@ -124,7 +123,6 @@ def _number(group: Mapping[str, Any], name: str) -> float:
 
 def _check_structure(path: Path) -> None:
     """Check that header, parameters and data are inside the file."""
-    size = path.stat().st_size
     with path.open("rb") as file:
         content = file.read(_MOST_PARAMETERS)
     start = _BLOCK * (content[0] - 1) if content else 0
@@ -152,7 +150,7 @@ def _check_structure(path: Path) -> None:
     if processor in (84, 86):  # DEC has another format of floats
         (scale,) = struct.unpack_from(order + "f", content, 12)
         needed = (4 * points + analog) * (4 if scale < 0 else 2) * (last - first + 1 if last >= first else 0)
-        left = size - _BLOCK * (struct.unpack_from(order + "H", content, 16)[0] - 1)
+        left = path.stat().st_size - _BLOCK * (struct.unpack_from(order + "H", content, 16)[0] - 1)
         if needed > left:
             raise _damaged(path, f"{needed} bytes of data are announced, {max(left, 0)} are there")
 

@@ -53,15 +53,10 @@ def set_poses(
 ) -> None:
     """Set the values of rows to poses from columns, whose widths and options are checked.
 
-    Args:
-        rows: the rows.
-        positions: (N, 3), or (N, 0) for whole matrices.
-        orientations: (N, 4) quaternions as x y z w, (N, 3) angles, or (N, 9) matrices, row by row; (N, 12)
-            or (N, 16) whole matrices.
-        wanted: the options.
-        stated: unit of angles in rad, if the file states it.
-        named: whether the user named the columns. Otherwise their names gave the order of quaternions, and
-            three angles are in the order x, y, z.
+    The positions are (N, 3). The orientations are (N, 4) quaternions as x y z w, (N, 3) angles in a unit that
+    the file may have ``stated``, in rad, or (N, 9) matrices, row by row. Whole matrices are (N, 0) and (N,
+    12) or (N, 16). Unless the user ``named`` the columns, their names gave the order of quaternions, and
+    angles are in the order x, y, z.
     """
     width = orientations.shape[1]
     if (positions.shape[1], width) not in _WIDTHS:

@@ -68,8 +68,7 @@ def _numbers_of_batch(path: Path, batch: Any, column: Column) -> np.ndarray:
         raise RecordingError(
             f"{path}: expected numbers in {shown(column.name, 80)}, found {shown(kind, 80)}."
         )
-    values = flat.to_numpy(zero_copy_only=False).astype(float)
-    return values.reshape(len(cells), -1)[:, column.part]
+    return flat.to_numpy(zero_copy_only=False).astype(float).reshape(len(cells), -1)[:, column.part]
 
 
 def _list_columns(path: Path) -> list[Entry]:
@@ -116,14 +115,10 @@ def read_hdf5(path: Path, wanted: Selection) -> Rows:
 
 def _sets(library: Any, file: Any) -> dict[str, Any]:
     """Return the data sets of numbers by their paths."""
-    found: dict[str, Any] = {}
-
-    def visit(name: str, thing: Any) -> None:
-        if isinstance(thing, library.Dataset) and thing.dtype.kind in "fiu" and thing.ndim in (1, 2, 3):
-            found[name] = thing
-
-    file.visititems(visit)
-    return found
+    things: list[tuple[str, Any]] = []
+    file.visititems(lambda *named: things.append(named))
+    sets = {name: thing for name, thing in things if isinstance(thing, library.Dataset)}
+    return {name: each for name, each in sets.items() if each.dtype.kind in "fiu" and each.ndim in (1, 2, 3)}
 
 
 def _numbers_of_set(data: Any, column: Column) -> np.ndarray:

@@ -158,16 +158,11 @@ def collect(
     """Collect the numbers in some columns of a table; NaN for empty cells.
 
     If the first time is later than 1e6 s, times count from it. They are subtracted as decimal numbers,
-    because floats resolve the time since 1970 only to 0.2 us. Cells that are no numbers are refused.
+    because floats resolve the time since 1970 only to 0.2 us. Cells that are no numbers are refused, and rows
+    with another count of cells than ``width``, except empty cells beyond it; ``short`` rows may have fewer.
 
-    Args:
-        path: the file.
-        lines: line number and cells of every line; empty cells beyond the width are ignored.
-        width: count of cells in a row; rows with another count are refused.
-        columns: indices of the columns.
-        time: index of the column of times, or of the columns of seconds and of nanoseconds.
-        wrench: indices of the columns of a measured wrench, which is kept apart from the poses.
-        short: whether rows may have fewer cells than ``width``; the missing ones are empty.
+    ``time`` is the column of times, or those of seconds and of nanoseconds. The columns of a measured
+    ``wrench`` are kept apart from the poses.
     """
     where, values, times, every = array("q"), array("d"), array("d"), [*columns, *wrench]
     origin: decimal.Decimal | None = None

@@ -101,18 +101,13 @@ def fit_rigid_body(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Fit a rigid body to its markers (N, M, 3) in each sample (Kabsch); NaN where a marker is not seen.
 
     The shape of the body is the mean over samples with all markers. The origin of the body is the centroid of
-    the markers, and its axes are parallel to the ground in the first sample with all markers.
-
-    Returns:
-        Poses (N, 4, 4) in the unit of the points, and RMS distances (N,) of the seen markers from the body.
-        NaN where fewer than three markers are seen, or where all are on a line.
-
-    Raises:
-        ValueError: if no frame has all markers, or if they are on a line.
+    the markers, and its axes are parallel to the ground in the first sample with all markers. The result is
+    poses (N, 4, 4) in the unit of the points, and RMS distances (N,) of the seen markers from the body; NaN
+    where fewer than three markers are seen, or where all are on a line. A ValueError is raised if no frame
+    has all markers, or if they are on a line.
     """
     seen = np.isfinite(points).all(axis=2)
-    whole = np.flatnonzero(seen.all(axis=1))
-    if not len(whole):
+    if not len(whole := np.flatnonzero(seen.all(axis=1))):
         raise ValueError("no frame has all markers")
     shape = points[whole[0]] - points[whole[0]].mean(axis=0)
     if not _spans(shape):

@@ -46,8 +46,7 @@ def read_mha(path: Path, wanted: Selection) -> Rows:
             stamps[frame] = value if is_number(value) else ""
     asked = None if wanted.body is None else wanted.body.removesuffix("Transform")
     body = choose_name(path, "body", asked, [*numbers], "transforms")
-    missing = [""] * _WIDTH
-    cells_of = ((k, [stamps.get(k, ""), *numbers[body].get(k, missing)]) for k in sorted(frames))
+    cells_of = ((k, [stamps.get(k, ""), *numbers[body].get(k, [""] * _WIDTH)]) for k in sorted(frames))
     rows = collect(path, cells_of, 1 + _WIDTH, range(1, 1 + _WIDTH), 0 if stamps else None)
     rows.word = "frame"
     good = ~np.isin(rows.where, list(lost.get(body, ())))

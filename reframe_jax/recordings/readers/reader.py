@@ -59,11 +59,9 @@ def translate_errors(path: Path, expected: str) -> Iterator[None]:
     """
     try:
         yield
-    except RecordingError:
-        raise
     except Exception as error:
-        if isinstance(error, OSError) and error.errno is not None:
-            raise  # an error of the disk
+        if isinstance(error, RecordingError) or (isinstance(error, OSError) and error.errno is not None):
+            raise  # an error with its own message, or an error of the disk
         reason = shown(" ".join(str(error).split())) or type(error).__name__
         raise RecordingError(
             f"{path}: expected {expected}; it cannot be read: {reason.rstrip('.')}."

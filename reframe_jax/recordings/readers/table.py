@@ -191,8 +191,7 @@ def _find_time(header: _Header, first: list[str]) -> int | tuple[int, int] | Non
     clock = [_matches(pattern, plain) for pattern in _CLOCK]
     if all(len(each) == 1 for each in clock):
         return clock[0][0], clock[1][0]
-    times = [i for i in map(header.find, _TIMES) if i is not None]
-    if not times:
+    if not (times := [i for i in map(header.find, _TIMES) if i is not None]):
         return header.find(_DATE)
     filled = [i for i in times if i < len(first) and first[i].strip("0.")]
     return next(iter(filled or times[-1:]), None)  # stamps of 0 were never set

@@ -64,11 +64,9 @@ def read_echo(path: Path, wanted: Selection) -> Rows:
     """Read rows of ``sec,nanosec,frame_id,x,y,z,qx,qy,qz,qw``, with an optional child frame before ``x``."""
     lines = read_cells(path, ",")
     number, cells = next(lines, (0, [""]))
-    start = _first_of_pose(cells)
-    if not start:
+    if not (start := _first_of_pose(cells)):
         raise RecordingError(f"{path}: line {number}: expected a stamp, a frame and the 7 numbers of a pose.")
-    rows = chain([(number, cells)], lines)
-    return collect(path, rows, len(cells), range(start, start + 7), (0, 1))
+    return collect(path, chain([(number, cells)], lines), len(cells), range(start, start + 7), (0, 1))
 
 
 def _first_of_pose(cells: list[str]) -> int:

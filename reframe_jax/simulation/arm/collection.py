@@ -63,19 +63,10 @@ def demonstrations(
 ) -> Iterator[Demonstration]:
     """Generate any number of demonstrations on the host, in chunks that are compiled once.
 
-    Args:
-        constraint: as in :func:`demonstrate`, with one geometry (3,) for all demonstrations, before
-            ``spread``.
-        key: JAX random key.
-        count: number of demonstrations.
-        chunk: number of demonstrations per simulation call.
-        redraw: whether to replace demonstrations whose status is not OK.
-        progress: function to call after every chunk, with the number of completed demonstrations and
-            ``count``.
-        options: options of :func:`demonstrate`.
-
-    Raises:
-        ValueError: if more than 9 in 10 demonstrations are unusable.
+    The constraint and the options are those of :func:`demonstrate`, with one geometry (3,) for all
+    demonstrations, before ``spread``. ``redraw`` replaces demonstrations whose status is not OK; a ValueError
+    is raised if these are more than 9 in 10. After every chunk, ``progress`` is called with the number of
+    completed demonstrations and ``count``.
     """
 
     def draw(number: int) -> tuple[Demonstration, np.ndarray]:
@@ -140,18 +131,12 @@ def stored_demonstrations(folder: str | Path) -> Iterator[Demonstration]:
     """Iterate over the parts of a folder as batches of NumPy arrays, with one part in memory at a time.
 
     ``rf.identify_many((poses for part in stored_demonstrations(folder) for poses in part.poses), ...)``
-    identifies all demonstrations.
-
-    Args:
-        folder: folder written by :func:`store_demonstrations`.
-
-    Raises:
-        ValueError: if the folder has no parts, if a part is missing, or if a file is damaged.
+    identifies all demonstrations. :func:`store_demonstrations` writes the folder. A ValueError is raised if
+    it has no parts, if a part is missing, or if a file is damaged.
     """
     run = Run.open(Path(folder), NPZ, _KIND)
     numbers = list(run.parts)
-    missing = sorted(set(range(numbers[-1])) - set(numbers))
-    if missing:
+    if missing := sorted(set(range(numbers[-1])) - set(numbers)):
         raise ValueError(
             f"{folder} is incomplete: parts {missing[:8]} are missing. Run store_demonstrations again."
         )

@@ -50,8 +50,7 @@ class Demonstration:
         times: (K+1,) s.
         poses: (N, K+1, 4, 4) m, recorded poses of {b} in {g}, with the errors of the robot.
         exact_poses: (N, K+1, 4, 4) m, the true poses.
-        joint_positions: (N, K+1, 7) rad.
-        joint_velocities: (N, K+1, 7) rad/s.
+        joint_positions, joint_velocities: (N, K+1, 7) rad and rad/s.
         truth: the true constraint, with one geometry (N, 3) per demonstration.
         reaction: (N, K+1, 6) N m and N, moments of the constraint on the tool along the angular axes, and
             forces along the linear axes at the frame's origin; zero along free axes.
@@ -90,10 +89,7 @@ class SequenceDemonstration:
     """A batch of demonstrations of a task with several constraints; slice it like an array.
 
     Attributes:
-        times: (K+1,) s, times of the whole task.
-        poses: (N, K+1, 4, 4) m, recorded poses of {b} in {g}, with the errors of the robot.
-        exact_poses: (N, K+1, 4, 4) m, the true poses.
-        joint_positions: (N, K+1, 7) rad.
+        times, poses, exact_poses, joint_positions: as in :class:`Demonstration`, of the whole task.
         stages: one demonstration per constraint. The first pose of a stage equals the last pose of the
             previous stage. The ``times`` of each stage start at 0.
     """
@@ -106,15 +102,13 @@ class SequenceDemonstration:
 
     def __getitem__(self, index: int | slice | np.ndarray | jax.Array) -> "SequenceDemonstration":
         """Select demonstrations; a single index removes the batch axis."""
-        stages = tuple(stage[index] for stage in self.stages)
         arrays = self.poses[index], self.exact_poses[index], self.joint_positions[index]
-        return SequenceDemonstration(self.times, *arrays, stages)
+        return SequenceDemonstration(self.times, *arrays, tuple(stage[index] for stage in self.stages))
 
     @property
     def boundaries(self) -> tuple[int, ...]:
         """Index of the first pose of each stage after the first; this pose obeys both constraints."""
-        ends = np.cumsum([len(stage.times) - 1 for stage in self.stages])
-        return tuple(int(end) for end in ends[:-1])
+        return tuple(np.cumsum([len(stage.times) - 1 for stage in self.stages])[:-1].tolist())
 
     @property
     def truths(self) -> tuple[ConstraintFrame, ...]:
@@ -133,16 +127,9 @@ def frame_on_arm(
     """Place a named constraint so that the arm can move under the constraint; return a frame unchanged.
 
     The axes of the frame are parallel to the robot's base at the start. The origin is 0.13 m below and in
-    front of the TCP, like the tip of a tool or the axis of a joint at this distance.
-
-    Args:
-        constraint: label or name of the catalogue, or a frame.
-        arm: the robot.
-        start: (..., 7) rad; the arm's home by default.
-
-    Raises:
-        KeyError: for an unknown constraint.
-        ValueError: for an unknown robot, or if ``constraint`` is not a constraint.
+    front of the TCP, like the tip of a tool or the axis of a joint at this distance. ``start`` is (..., 7)
+    rad, the arm's home by default. A KeyError is raised for an unknown constraint, a ValueError for an
+    unknown robot, or if ``constraint`` is not a constraint.
     """
     if isinstance(constraint, ConstraintFrame):
         return constraint
@@ -174,7 +161,8 @@ def demonstrate(
 
     The function works under ``jit`` (with static shapes and names). It also works under ``grad`` with respect
     to the geometry of the constraint. One compiled program serves all constraints. For a given key,
-    demonstration i is the same in every batch, up to rounding errors.
+    demonstration i is the same in every batch, up to rounding errors. Check ``status_code``, because the
+    simulation does not enforce joint limits.
 
     Args:
         constraint: label or name of one of the twelve constraints of the paper, placed by
@@ -192,9 +180,6 @@ def demonstrate(
         imperfections: errors of the robot and its sensors.
         arm: ``"panda"``, ``"fr3"``, or an arm.
         start: (7,) or (N, 7) rad, initial joint positions, at rest; the arm's home by default.
-
-    Returns:
-        The demonstrations. Check ``status_code``, because the simulation does not enforce joint limits.
 
     Raises:
         KeyError: for an unknown constraint.
@@ -229,12 +214,8 @@ def demonstrate_sequence(
 
     All stages use the program of :func:`demonstrate`, with the number of samples of the longest stage. Its
     options apply to every stage, with another grip and other phases. ``durations`` (s) is one number, or one
-    per stage.
-
-    Raises:
-        KeyError: for an unknown constraint.
-        ValueError: for an unknown name, unusable numbers or shapes, no constraints, or a wrong number of
-            durations.
+    per stage. A KeyError is raised for an unknown constraint, a ValueError for an unknown name, unusable
+    numbers or shapes, no constraints, or a wrong number of durations.
     """
     arm = find_arm(arm)
     each = each_duration(constraints, durations)
@@ -269,30 +250,25 @@ def demonstrate_sequence(
     path = jnp.concatenate([track.joints[:, i > 0 :] for i, (track, _) in enumerate(stages)], axis=1)
     poses, exact = guide.record(path, key, numbers, imperfections, arm=arm)
     times, compliance = dt * jnp.arange(path.shape[1], dtype=dtype), compliance_of(imperfections, dtype)
-    done = []
-    for (track, truth), (a, b) in zip(stages, pairwise(np.cumsum([0, *counts]).tolist()), strict=True):
-        done.append(
-            Demonstration(
-                times=times[: b - a + 1],
-                poses=poses[:, a : b + 1],
-                exact_poses=exact[:, a : b + 1],
-                joint_positions=track.joints,
-                joint_velocities=track.velocity,
-                truth=truth,
-                reaction=track.force,
-                slip=track.slip,
-                status_code=rollout_status(track, frame_arrays(truth).free, compliance, arm),
-            )
+    done = tuple(
+        Demonstration(
+            times=times[: b - a + 1],
+            poses=poses[:, a : b + 1],
+            exact_poses=exact[:, a : b + 1],
+            joint_positions=track.joints,
+            joint_velocities=track.velocity,
+            truth=truth,
+            reaction=track.force,
+            slip=track.slip,
+            status_code=rollout_status(track, frame_arrays(truth).free, compliance, arm),
         )
-    return SequenceDemonstration(times, poses, exact, path, tuple(done))
+        for (track, truth), (a, b) in zip(stages, pairwise(np.cumsum([0, *counts]).tolist()), strict=True)
+    )
+    return SequenceDemonstration(times, poses, exact, path, done)
 
 
 def sampling(duration: float, dt: float) -> Steps:
-    """Divide a duration, s, into samples, and the sample time ``dt``, s, into steps of at most 0.01 s.
-
-    Raises:
-        ValueError: unless 0 < dt <= duration.
-    """
+    """Divide a duration, s, into samples, and the sample time, s, into steps of at most 0.01 s."""
     if not (0 < dt <= duration < math.inf):
         raise ValueError(f"Expected 0 < dt <= duration; found a dt of {dt:g} s in {duration:g} s.")
     substeps = math.ceil(dt / _LONGEST - 1e-6)
@@ -302,11 +278,7 @@ def sampling(duration: float, dt: float) -> Steps:
 def scatter(
     frame: ConstraintFrame, key: jax.Array, numbers: jax.Array, joints: jax.Array, spread: ArrayLike, arm: Arm
 ) -> ConstraintFrame:
-    """Give each demonstration a geometry (N, 3), with randomly turned axes and a randomly shifted origin.
-
-    Raises:
-        ValueError: for a geometry that is neither (3,) nor (N, 3).
-    """
+    """Give each demonstration a geometry (N, 3), with randomly turned axes and a randomly shifted origin."""
     batch = len(numbers)
     for name in ("angular_rotvec", "linear_rotvec", "position"):
         shape = getattr(frame, name).shape

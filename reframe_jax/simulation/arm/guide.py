@@ -18,6 +18,7 @@ from reframe_jax.geometry.small import solve_positive, times
 from reframe_jax.simulation.arm.imperfections import Imperfections, by_axis, compliance_of
 from reframe_jax.simulation.arm.model import Arm, Motion, arm_motion, forward_kinematics
 from reframe_jax.simulation.arm.rollout import Drive, Steps, Track, hold, integrate
+from reframe_jax.simulation.motions import round_to
 from reframe_jax.simulation.synthetic import Excitation
 
 _RATES = ((1.4, 4.4), (2.4, 5.4), (3.4, 6.4))  # rad/s, by axis; 5 s distinguish these rates
@@ -75,8 +76,7 @@ def _most_even_phases(draws: jax.Array, rates: jax.Array, free: jax.Array) -> ja
     velocity = jnp.sum(jnp.cos(angles), axis=-2) * free[None, :, :, None]
     covariance = jnp.mean(velocity[:, :, :, None] * velocity[:, :, None], axis=-1)
     still = (1 - free)[:, :, None] * jnp.eye(3, dtype=free.dtype)[None]  # constrained axes do not count
-    slowest = jnp.linalg.eigvalsh(covariance + still[None])[..., 0]
-    best = jnp.argmax(slowest, axis=0)
+    best = jnp.argmax(jnp.linalg.eigvalsh(covariance + still[None])[..., 0], axis=0)
     return jnp.take_along_axis(draws, best[None, :, None, None], axis=0)[0]
 
 
@@ -110,8 +110,7 @@ def guide_drive(key: jax.Array, frame: Frame, excitation: Excitation, step: floa
 
     def drive(pose: jax.Array, t: jax.Array, motion: Motion) -> tuple[jax.Array, jax.Array]:
         rotation, position = pose[:3, :3], pose[:3, 3]
-        wanted = frame.free * jnp.concatenate(excitation(t))
-        twist = ground_twist(locate(frame, rotation, position), wanted)
+        twist = ground_twist(locate(frame, rotation, position), frame.free * jnp.concatenate(excitation(t)))
         goal = matmul(pose, aside)
         apart = matmul(goal[:3, :3], motion.rotation.T)
         gap = jnp.concatenate([rotations.vee(apart), goal[:3, 3] - motion.position])
@@ -173,12 +172,10 @@ def record(
 ) -> tuple[jax.Array, jax.Array]:
     """Compute recorded and true poses (N, K+1, 4, 4), m, from joint positions (N, K+1, 7), rad."""
     given = jax.tree.map(lambda number: jnp.asarray(number, dtype=joints.dtype), imperfections)
-    step = jnp.where(given.encoder_step > 0, given.encoder_step, 1)
 
     def read(joints: jax.Array, key: jax.Array) -> jax.Array:
         noise = jax.random.normal(jax.random.split(key)[0], joints.shape, joints.dtype)
-        measured = joints + given.encoder_noise * noise
-        return jnp.where(given.encoder_step > 0, jnp.round(measured / step) * step, measured)
+        return round_to(joints + given.encoder_noise * noise, given.encoder_step)
 
     measured = jax.vmap(read)(joints, demonstration_keys(key, numbers)[:, 3])
     poses, exact = (transforms.make_pose(*forward_kinematics(each, arm)) for each in (measured, joints))

@@ -18,8 +18,7 @@ class Imperfections:
     The compliances change the motion, the encoders change the recording only.
 
     Attributes:
-        compliance: m/N, compliance of the tool and its mount along constrained translations.
-        angular_compliance: rad/(N m), compliance along constrained rotations.
+        compliance, angular_compliance: m/N and rad/(N m), of the tool and its mount along constrained axes.
         encoder_noise: rad, standard deviation of every joint reading.
         encoder_step: rad, resolution of joint readings; 0 for no rounding.
     """

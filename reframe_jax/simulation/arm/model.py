@@ -113,8 +113,7 @@ def _link_transforms(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
 def forward_kinematics(joints: jax.Array, arm: Arm = PANDA) -> tuple[jax.Array, jax.Array]:
     """Compute rotation (..., 3, 3) and position (..., 3), m, of {b} in {g} from joints (..., 7), rad."""
     fixed, offset = (jnp.asarray(part, dtype=joints.dtype) for part in _link_transforms(arm))
-    batch = joints.shape[:-1]
-    fixed, offset = (jnp.broadcast_to(part, (*batch, *part.shape)) for part in (fixed, offset))
+    fixed, offset = (jnp.broadcast_to(part, (*joints.shape[:-1], *part.shape)) for part in (fixed, offset))
     rotation, position = fixed[..., 0, :, :], offset[..., 0, :]
     for i in range(7):
         # a rotation about z combines the first two columns
@@ -133,10 +132,8 @@ class Motion:
     """The state of the arm at an instant, in the axes of its base.
 
     Attributes:
-        joints: (7,) rad.
-        velocity: (7,) rad/s.
-        rotation: (3, 3), orientation of {b} in {g}.
-        position: (3,) m, origin of {b} in {g}.
+        joints, velocity: (7,) rad and rad/s.
+        rotation, position: (3, 3) and (3,) m, orientation and origin of {b} in {g}.
         jacobian: (6, 7) from joint velocities to the twist of {b}: its angular velocity (rad/s), then the
             velocity of its origin (m/s), both in the axes of {g}.
         mass: (7, 7) kg m^2, the mass matrix, including the armature.

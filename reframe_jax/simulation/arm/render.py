@@ -49,17 +49,9 @@ def film_frames(
     Free axes of the frame are blue, constrained axes orange: short bars for the linear frame, a disc for
     a free rotation. A grey rod leads from the hand to the origin of the frame.
 
-    Args:
-        joints: (K, 7) rad, such as the ``joint_positions`` of one demonstration.
-        truth: the constraint, with geometry (3,); None draws only the arm.
-        arm: the robot.
-        size: width and height in pixels, up to 1920 x 1080; multiples of 16 for MP4.
-
-    Returns:
-        (K, height, width, 3) uint8.
-
-    Raises:
-        RenderError: if OpenGL is not available.
+    The joint positions (K, 7), rad, are those of one demonstration. The constraint has a geometry (3,); None
+    draws only the arm. The size is width and height in pixels, up to 1920 x 1080; multiples of 16 for MP4.
+    The result is (K, height, width, 3) uint8. A RenderError is raised if OpenGL is not available.
     """
     arm = find_arm(arm)
     joints = np.asarray(joints, dtype=float)
@@ -70,9 +62,8 @@ def film_frames(
     rotations, positions = forward_kinematics(jnp.asarray(joints), arm)
     path = np.asarray(positions)
     located = None if truth is None else locate_on_host(truth, np.asarray(make_pose(rotations, positions)))
-    renderer = _renderer(model, size)
     pictures = []
-    try:
+    with _renderer(model, size) as renderer:
         for number, row in enumerate(joints):
             data.qpos[:7] = row
             mujoco.mj_forward(model, data)
@@ -83,17 +74,13 @@ def film_frames(
                 there = jax.tree.map(lambda leaf, i=number: leaf[i], located)
                 _draw_frame(renderer.scene, truth, there, path[number])
             pictures.append(renderer.render())
-    finally:
-        renderer.close()
     return np.stack(pictures)
 
 
 def save_film(path: str | Path, pictures: np.ndarray, *, rate: float = 20.0) -> None:
     """Write pictures (K, height, width, 3), uint8, as an animated GIF or as MP4, with a rate per second.
 
-    Raises:
-        ValueError: for another suffix.
-        RenderError: if the extra ``render`` is not installed.
+    A ValueError is raised for another suffix, a RenderError if the extra ``render`` is not installed.
     """
     path = Path(path)
     suffix = path.suffix.lower()

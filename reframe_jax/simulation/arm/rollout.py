@@ -157,12 +157,6 @@ def rollout_status(track: Track, free: jax.Array, compliance: jax.Array, arm: Ar
     bound = jnp.asarray([_SLIPPED[0]] * 3 + [_SLIPPED[1]] * 3, dtype=dtype)
     slipped = jnp.any(held > jnp.where(compliance > 0, jnp.inf, bound)[None], axis=1)
     finite = jnp.all(jnp.isfinite(track.joints), axis=(1, 2))
-    status = jnp.full(outside.shape, RolloutStatus.OK, dtype=jnp.int32)
-    for wrong, code in (
-        (fast, RolloutStatus.SPEED_LIMIT),
-        (outside, RolloutStatus.JOINT_LIMIT),
-        (slipped, RolloutStatus.SLIPPED),
-        (~finite, RolloutStatus.DIVERGED),
-    ):
-        status = jnp.where(wrong, jnp.int32(code), status)
-    return status
+    status = RolloutStatus
+    codes = status.DIVERGED, status.SLIPPED, status.JOINT_LIMIT, status.SPEED_LIMIT
+    return jnp.select([~finite, slipped, outside, fast], [*map(jnp.int32, codes)], jnp.int32(status.OK))

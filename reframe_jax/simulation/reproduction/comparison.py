@@ -31,10 +31,8 @@ class Comparison:
     """A task reproduced in two kinds of frames.
 
     Attributes:
-        demonstrations: the demonstrations from which the frames were identified.
-        found: the identifications.
-        exact: trials in the true frames, the baseline.
-        identified: trials in the identified frames.
+        demonstrations, found: the demonstrations, and the identifications of their frames.
+        exact, identified: trials in the true frames, the baseline, and in the identified frames.
         redrawn: number of geometries that were left out, because the demonstration was infeasible or the
             end-stop was out of reach even in the true frame (see ``RolloutStatus``).
         errors: (N, 3) errors of the identified frames: angular axis and linear axis in degrees, position in
@@ -84,10 +82,8 @@ def compare(
 
     A constraint may not determine the origin of its frame. The comparison then moves the identified origin to
     the true origin, where the forces act. If all rotations are free, moments act along the true axes. Other
-    choices are equally correct, but their trials could not be compared with the baseline.
-
-    Raises:
-        ValueError: for unusable numbers or names, or if more than 9 in 10 geometries are unusable.
+    choices are equally correct, but their trials could not be compared with the baseline. A ValueError is
+    raised for unusable numbers or names, or if more than 9 in 10 geometries are unusable.
     """
     if trials < 1:
         raise ValueError(f"trials must be at least 1, not {trials}.")
@@ -105,12 +101,11 @@ def compare(
         return (made, exact), np.maximum(made.status_code, exact.status_code)
 
     parts: list[tuple[Demonstration, Trials]] = []
-    drawn = 0
     subject = "tasks are within the arm's reach"
     for (made, exact), good in draw_usable(draw, trials, chunk, subject=subject, progress=progress):
         parts.append((made[good], exact[good]))
-        drawn += chunk
-    drawn += int(good[-1]) + 1 - chunk  # without the draws after the last one that was needed
+    # without the draws after the last one that was needed
+    drawn = (len(parts) - 1) * chunk + int(good[-1]) + 1
     times = made.times
     made, exact = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
     made, exact = (replace(part, times=jnp.asarray(times)) for part in (made, exact))
@@ -135,9 +130,7 @@ def matched_choices(
     The replaced origins and axes agree with the truth at the joint positions ``start`` (7,), rad.
     """
     arm = find_arm(arm)
-    frames = control_frames(found)
-    dtype = truth.position.dtype
-    pose = forward_kinematics(arm.start(start, dtype), arm)
+    pose = forward_kinematics(arm.start(start, truth.position.dtype), arm)
 
     def move(frame: Frame, true: Frame, free: jax.Array) -> Frame:
         away = locate(true, *pose).lever - locate(frame, *pose).lever
@@ -150,4 +143,4 @@ def matched_choices(
             on_body=frame.on_body.at[0].set(jnp.where(turns, true.on_body[0], frame.on_body[0])),
         )
 
-    return jax.vmap(move)(frames, frame_arrays(truth), found.linear.free_position)
+    return jax.vmap(move)(control_frames(found), frame_arrays(truth), found.linear.free_position)

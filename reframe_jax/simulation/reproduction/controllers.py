@@ -29,10 +29,8 @@ class Controller:
         push: N m, N, along free axes, towards the goal.
         speed: rad/s, m/s, speed of the set point.
         reach: rad, m, distance that the set point moves.
-        stiffness: N m/rad, N/m, along free axes.
-        damping: N m s/rad, N s/m, along free axes.
-        held_stiffness: N m/rad, N/m, along constrained axes.
-        held_damping: N m s/rad, N s/m, along constrained axes.
+        stiffness, damping: N m/rad, N/m; N m s/rad, N s/m, along free axes.
+        held_stiffness, held_damping: the same along constrained axes.
     """
 
     push: Pair = (0.0, 0.0)
@@ -88,11 +86,8 @@ def control_drive(controller: Controller, frame: Frame, goal: jax.Array) -> Driv
         velocity = apply(rows, motion.twist)
         point = jnp.minimum(wanted["speed"] * t, wanted["reach"]) * goal
         pace = jnp.where(wanted["speed"] * t < wanted["reach"], wanted["speed"], 0) * goal
-        free = (
-            wanted["push"] * goal
-            + wanted["stiffness"] * (point - made)
-            + wanted["damping"] * (pace - velocity)
-        )
+        free = wanted["push"] * goal + wanted["stiffness"] * (point - made)
+        free = free + wanted["damping"] * (pace - velocity)
         held = -wanted["held_stiffness"] * made - wanted["held_damping"] * velocity
         along = jnp.where(frame.free > 0, free, held)
         return (now, made), apply(motion.jacobian.T, apply(rows.T, along))

@@ -48,8 +48,7 @@ class Trials:
         completed: (N,) bool, whether every free axis reached its end-stop.
         completion_time: (N,) s, time at which the last axis reached its end-stop; infinite if an axis did
             not.
-        peak_moment: (N,) N m, largest norm of the reaction moment in a trial (paper, section 6.2).
-        peak_force: (N,) N, largest norm of the reaction force in a trial.
+        peak_moment, peak_force: (N,) N m and N, largest norms of the reaction (paper, section 6.2).
         status_code: (N,) int, a ``RolloutStatus``; SINGULAR if the end-stop was out of reach.
     """
 
@@ -117,16 +116,9 @@ def reproduce(
     frame determines the free part of this direction and its later motion. The end-stops are 0.4 rad and 0.1 m
     apart; a trial takes 5 s.
 
-    Args:
-        truth: the true constraint, with geometry (N, 3).
-        frames: N control frames.
-        controller: the controller, which computes the wrenches.
-        arm: the robot.
-        start: (7,) rad, joint positions of the arm at the first end-stops.
-        compliance: rad/(N m) and m/N, compliance of the tool and its mount.
-
-    Raises:
-        ValueError: for an unknown robot, or batches of different sizes.
+    The true constraint has a geometry (N, 3), for N control frames. ``start`` (7,), rad, are the joint
+    positions at the first end-stops; ``compliance``, rad/(N m) and m/N, is that of the tool and its mount. A
+    ValueError is raised for an unknown robot, or batches of different sizes.
     """
     arm = find_arm(arm)
     control = control_frames(frames)
@@ -175,8 +167,7 @@ def _reproduce(
                 softness=jnp.where(truth.free > 0, softness, held.softness),
             )
 
-        state = there, jnp.zeros_like(travel)
-        return integrate(arm, truth, start, drive, state, law, steps)
+        return integrate(arm, truth, start, drive, (there, jnp.zeros_like(travel)), law, steps)
 
     track = jax.vmap(trial)(truth, control)
     free = truth.free[:, None]
@@ -184,7 +175,6 @@ def _reproduce(
     arrived = jnp.all((track.slip > (travel - _ARRIVED)[None, None]) | (free == 0), axis=-1)
     times = _DT * jnp.arange(steps.samples + 1, dtype=dtype)
     completed = jnp.any(arrived, axis=-1)
-    first = times[jnp.argmax(arrived, axis=-1)]
     status = rollout_status(track, truth.free, compliance, arm)
     ends = jax.vmap(partial(arm_motion, arm=arm))(track.joints[:, -1], jnp.zeros_like(track.joints[:, -1]))
     stuck = ~completed & (jnp.linalg.svd(ends.jacobian, compute_uv=False)[:, -1] < _SINGULAR)
@@ -195,7 +185,7 @@ def _reproduce(
         travelled=track.slip,
         reaction=reaction,
         completed=completed,
-        completion_time=jnp.where(completed, first, jnp.inf),
+        completion_time=jnp.where(completed, times[jnp.argmax(arrived, axis=-1)], jnp.inf),
         peak_moment=jnp.max(jnp.linalg.norm(reaction[..., :3], axis=-1), axis=-1),
         peak_force=jnp.max(jnp.linalg.norm(reaction[..., 3:], axis=-1), axis=-1),
         status_code=jnp.where(stuck, jnp.maximum(status, jnp.int32(RolloutStatus.SINGULAR)), status),
@@ -214,11 +204,8 @@ def reproduce_sequence(
     constraint, with geometry (3,), becomes active at the current pose of the tool, and the control frame is
     located at this pose. A stage that does not reach its end-stop ends the task. ``frames`` is a
     segmentation, whose moving segments are the stages, or one identification or constraint frame per stage,
-    with geometry (3,). ``arm`` is the robot.
-
-    Raises:
-        ValueError: for an unknown robot, no stages, different numbers of stages, or a segment without
-            identification.
+    with geometry (3,). A ValueError is raised for an unknown robot, no stages, different numbers of stages,
+    or a segment without identification.
     """
     every = [each.identification for each in frames.moving] if isinstance(frames, Segmentation) else frames
     control = [frame for frame in every if frame is not None]
