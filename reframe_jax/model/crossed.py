@@ -6,10 +6,13 @@ penalty -log sin^2 keeps the mean angle near a right angle: axes at any other an
 chance, and parallel axes fit every motion.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.geometry.kernel import added_up
 from reframe_jax.geometry.small import materialize, normalize, pick, times, total, trace, unit_matrix
 from reframe_jax.model.descent import Local, levenberg_marquardt
 
@@ -49,21 +52,13 @@ def crossed_axes(
     The other arguments are as in :func:`promising_pairs`. The result is the unit vectors a (3, ...) and b (3,
     ...), and the objective (...).
     """
-    small = jnp.finfo(ground.dtype).tiny ** 0.5
     keep = _APART * total(details, 0)
     unit = unit_matrix(ground.dtype, ground.ndim - 1)
 
     def expand(axes: tuple[Array, Array]) -> Local:
         """Expand the objective about two axes. Changes of their lengths have no slope and no coupling."""
         a, b = axes
-        across = total(forms * b[:, None, None, None], 1)  # (i, k, l)
-        half = total(forms * a[:, None, None, None, None], 0)  # (j, k, l)
-        of_ground, of_body = total(across * b[:, None], 2), total(half * a[:, None, None], 1)
-        both = total(across * a[:, None, None], 1)
-        size = total(total(of_ground * a[:, None, None], 0) * a[:, None], 0) + small
-        weight = details / size
-        sums = materialize([total(m * weight, 2) for m in (of_ground, of_body, both)])
-        blocks = jnp.stack(sums, axis=2)
+        held, blocks = _held_part(forms, details, a, b)
         turned = jnp.stack([times(mean_matrix, b), times(jnp.swapaxes(mean_matrix, 0, 1), a)], axis=1)
         cosine = total(a * turned[:, 0], 0)
         rest = _square_of_sine(cosine)
@@ -74,7 +69,7 @@ def crossed_axes(
         gradient = times(blocks[:, :, :2], pair) + cosine / rest * pull
         bent = blocks + (2 - rest) / (rest * rest) * pull[:, None, _LEFT] * turned[None, :, _RIGHT]
         bent = times(times(flat[:, :, _LEFT], bent), flat[:, :, _RIGHT])
-        value = total(details * jnp.log(size), 0) - keep * jnp.log(rest)
+        value = held - keep * jnp.log(rest)
         diagonal = bent[:, :, :2] + along * trace(bent[:, :, :2])
         return Local(value, times(flat, gradient), diagonal, bent[:, :, 2:])
 
@@ -83,6 +78,22 @@ def crossed_axes(
 
     (a, b), value = levenberg_marquardt(expand, move, (ground, body), jnp.zeros_like(ground[0]), 2, steps)
     return a, b, value
+
+
+@partial(added_up, axes=(4, 0, -1, -1))
+def _held_part(forms: Array, details: Array, a: Array, b: Array) -> tuple[Array, Array]:
+    """The objective (...) without the penalty, and half its Hessian (3, 3, 3, ...) without the change of c_s.
+
+    The blocks of the Hessian are those of a, of b, and of a with b.
+    """
+    across = total(forms * b[:, None, None, None], 1)  # (i, k, l)
+    half = total(forms * a[:, None, None, None, None], 0)  # (j, k, l)
+    of_ground, of_body = total(across * b[:, None], 2), total(half * a[:, None, None], 1)
+    both = total(across * a[:, None, None], 1)
+    size = total(total(of_ground * a[:, None, None], 0) * a[:, None], 0) + jnp.finfo(a.dtype).tiny ** 0.5
+    weight = details / size
+    blocks = materialize([total(m * weight, 2) for m in (of_ground, of_body, both)])
+    return total(details * jnp.log(size), 0), jnp.stack(blocks, axis=2)
 
 
 def _square_of_sine(cosine: Array) -> Array:

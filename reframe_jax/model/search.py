@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.geometry.kernel import added_up, in_registers
 from reframe_jax.geometry.small import (
     diagonalize,
     invert_symmetric,
@@ -52,6 +53,7 @@ _FIXED_STARTS = np.array([[0, 0.2, -0.5], [0, -0.2, -0.4], [0, 0.1, 0.5]])
 _RIDGE = 1e-9  # fraction of the trace that regularizes the regression on rotation features
 
 Array = jax.Array
+_ADDED_UP = partial(added_up, axes=(2, 0, -1))  # over the scales of coefficients and counts
 
 
 def polynomials(products: Array, rows: np.ndarray) -> Array:
@@ -121,12 +123,22 @@ def lowest_origins(
     Returns:
         The origins (3, T, N), m, and F (T, N) at these origins.
     """
-    counts = details[:, None, None]
-    x = _starts(coefficients, counts, unexplained)
-    x = jnp.clip(jnp.where(jnp.isfinite(x), x, 0), -box, box)
+    problem = coefficients, details[:, None, None], box[None, None]
+    x = _starts(*problem[:2], unexplained)
+    x, norm = in_registers(_tangent_steps, 3)(*problem, jnp.clip(jnp.where(jnp.isfinite(x), x, 0), -box, box))
+    best = jnp.argmin(norm, axis=1)
+    x, norm = in_registers(_newton_steps, 3)(*problem, pick(x, best[:, None], 2))
+    return x[:, :, 0], norm[:, 0]
+
+
+def _tangent_steps(coefficients: Array, counts: Array, box: Array, x: Array) -> tuple[Array, Array]:
+    """Take tangent steps from origins (3, T, K, N); also return F (T, K, N)."""
     x = jax.lax.fori_loop(0, _TANGENT_STEPS, lambda _, x: _tangent_step(coefficients, counts, box, x), x)
-    best = jnp.argmin(_norm(coefficients, counts, x), axis=1)
-    x = pick(x, best[:, None], 2)
+    return x, _norm(coefficients, counts, x)
+
+
+def _newton_steps(coefficients: Array, counts: Array, box: Array, x: Array) -> tuple[Array, Array]:
+    """Take Newton's steps from origins (3, T, 1, N) until none moves; also return F (T, 1, N)."""
     step = partial(_newton_step, coefficients, counts, box)
     axes = jnp.broadcast_to(unit_matrix(x.dtype, x.ndim - 1), (3, *x.shape))
     damping = jnp.full_like(x[0], _DAMPING)
@@ -136,7 +148,7 @@ def lowest_origins(
         lambda carry: (carry[0] + 1, step(carry[1])),
         start,
     )
-    return end.origin[:, :, 0], end.norm[:, 0]
+    return end.origin, end.norm
 
 
 def norm_at(coefficients: Array, details: Array, origins: Array) -> Array:
@@ -144,6 +156,7 @@ def norm_at(coefficients: Array, details: Array, origins: Array) -> Array:
     return _norm(coefficients, details[:, None, None], origins[:, :, None])[:, 0]
 
 
+@_ADDED_UP
 def _norm(coefficients: Array, counts: Array, x: Array) -> Array:
     """F at origins (3, T, K, N), (T, K, N)."""
     _, det = invert_symmetric(_sigma(coefficients, x))
@@ -204,14 +217,20 @@ def _lift(matrix: Array) -> Array:
     return matrix + (1e-9 * size + jnp.finfo(matrix.dtype).tiny) * unit
 
 
-def _tangent_step(coefficients: Array, counts: Array, box: Array, x: Array) -> Array:
+@_ADDED_UP
+def _tangent_at(coefficients: Array, counts: Array, x: Array) -> Array:
     inverse, _ = invert_symmetric(_sigma(coefficients, x))
-    form = _tangent(coefficients, counts, inverse)
+    return _tangent(coefficients, counts, inverse)
+
+
+def _tangent_step(coefficients: Array, counts: Array, box: Array, x: Array) -> Array:
+    form = _tangent_at(coefficients, counts, x)
     step = solve_symmetric(_lift(form[1:, 1:]), form[1:, 0] + times(form[1:, 1:], x))
     # without motion, every origin is equally good
     return materialize(jnp.clip(x - _RELAX * jnp.where(jnp.isfinite(step), step, 0), -box, box))
 
 
+@_ADDED_UP
 def _expand(coefficients: Array, counts: Array, x: Array) -> tuple[Array, Array, Array, Array]:
     """F about origins (3, ...): value, slope (3, ...), Hessian (3, 3, ...) of the tangent, exact Hessian."""
     inverse, det = invert_symmetric(_sigma(coefficients, x))

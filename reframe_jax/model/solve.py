@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import LinearType
+from reframe_jax.geometry.kernel import in_registers
 from reframe_jax.geometry.small import materialize, pick, sandwich, times, total
 from reframe_jax.model import features as z
 from reframe_jax.model.constants import ABOVE_NOISE
@@ -197,8 +198,9 @@ def compare_windows(
         entries = entries_at(best)
         start = jax.tree.map(lambda leaf: pick(leaf, best, -2), starts)
         of_entries = moments_of_paths.pick(entries.path)
-        fitted = problem_of(of_entries, details[:, None], entries, solved.tilt_scale, box, entries.tied)
-        at = descend(fitted, start, steps)
+        limits = solved.tilt_scale[None], box[None]
+        fitted = problem_of(of_entries, details[:, None], entries, *limits, entries.tied)
+        at = in_registers(descend, 2)(fitted, start, steps)
         return best, of_entries.at(at.origin), at
 
     def log_probability(entries: _Evaluated, table: Table, standard: np.ndarray) -> Array:

@@ -3,6 +3,7 @@
 Components come first and windows last.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -10,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import AngularType
+from reframe_jax.geometry.kernel import in_registers
 from reframe_jax.geometry.small import cross, diagonalize, normalize, pick, times, total, unit_matrix
 from reframe_jax.model import features as z
 from reframe_jax.model.crossed import crossed_axes, promising_pairs
@@ -94,7 +96,8 @@ def universal_axes(axes: Axes, products: Array, details: Array, mean_matrix: Arr
     ground, body = axes.angular[:, :, AngularType.G], axes.angular[:, :, AngularType.B]
     a, b = promising_pairs(forms, details, mean_matrix, ground, body)
     forms = forms[:, :, :, :, :, None]
-    a, b, value = crossed_axes(forms, details[:, None], mean_matrix[:, :, None], a, b, _CROSS_STEPS)
+    fit = in_registers(partial(crossed_axes, steps=_CROSS_STEPS), 2)
+    a, b, value = fit(forms, details[:, None], mean_matrix[:, :, None], a, b)
     best = jnp.argmin(value, axis=0)[None]
     return pick(a, best, 1)[:, 0], pick(b, best, 1)[:, 0]
 

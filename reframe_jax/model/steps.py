@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.geometry.kernel import added_up
 from reframe_jax.geometry.small import (
     axial,
     crosses,
@@ -149,18 +150,34 @@ def _row(problem: Problem, at: Unknowns) -> tuple[Array, Array, Array]:
     gradient = total(slopes * materialize(total(each * moved, 1))[None], 1)
     carried = materialize(times(slopes, materialize(total(problem.rows * each, 2))))
     hessian = materialize(total(carried[:, None] * slopes[None], 2))
-    value = total(problem.details * jnp.log(size), 0)
-    # ---- the cost of the tilt
-    count, squared = total(problem.details, 0), total(at.tilt * at.tilt, 0)
+    return total(problem.details * jnp.log(size), 0), gradient, hessian
+
+
+def _tilt_cost(problem: Problem, tilt: Array) -> tuple[Array, Array, Array]:
+    """The cost of the tilt, half its gradient (3, ...) in tilt and pitch, half its Hessian (3, 3, ...)."""
+    count, squared = total(problem.details, 0), total(tilt * tilt, 0)
     cost = jnp.where(problem.tie, count * jnp.log1p(squared / problem.scale**2), 0)
     bend = jnp.where(problem.tie, count / (problem.scale**2 + squared), 0)
-    gradient = gradient + jnp.concatenate([zero, bend * at.tilt, zero[:1]])
-    diagonal = jnp.asarray(np.diag([0.0, 0, 0, 1, 1, 0]), bend.dtype).reshape(6, 6, *[1] * bend.ndim)
-    return value + cost, gradient, hessian + diagonal * bend
+    diagonal = jnp.asarray(np.diag([1.0, 1, 0]), bend.dtype).reshape(3, 3, *[1] * bend.ndim)
+    return cost, jnp.concatenate([bend * tilt, jnp.zeros_like(bend)[None]]), diagonal * bend
 
 
 def _expand(problem: Problem, at: Unknowns) -> Local:
     """The objective about a point, in rotation, origin, and tilt with pitch."""
+    held = _held_parts(problem, at)
+    cost, slope, bend = _tilt_cost(problem, at.tilt)
+    gradient = jnp.concatenate([held.gradient[:, :2], (held.gradient[:, 2] + slope)[:, None]], axis=1)
+    diagonal = jnp.concatenate([held.diagonal[:, :, :2], (held.diagonal[:, :, 2] + bend)[:, :, None]], axis=2)
+    return Local(held.value + cost, gradient, diagonal, held.coupling)
+
+
+# axes of the scales
+_SCALES = Problem(2, 4, 2, -1, -1, -1, -1, -1, -1, 0, -1, -1)  # type: ignore[arg-type]
+
+
+@partial(added_up, axes=(_SCALES, -1))
+def _held_parts(problem: Problem, at: Unknowns) -> Local:
+    """The objective without the cost of the tilt."""
     value, first, blocks, both = _blocks(problem, at.frame, at.origin)
     of_row, second, row = materialize(_row(problem, at))
     turns = materialize(blocks[:, :, 0] + row[:3, :3])[:, :, None]
