@@ -67,8 +67,7 @@ def _fit(design: np.ndarray, target: np.ndarray, used: np.ndarray) -> Fit:
     freedom = int(used.sum()) * rows - unknowns
     least = _ROUNDING * max(1.0, float(np.abs(target).max()))
     scatter = max(float(np.sqrt(np.sum(residuals[used] ** 2) / freedom)), least)
-    covariance = scatter**2 * np.linalg.inv(chosen.T @ chosen)
-    return Fit(solution, covariance, residuals, used, scatter, freedom)
+    return Fit(solution, scatter**2 * np.linalg.inv(chosen.T @ chosen), residuals, used, scatter, freedom)
 
 
 def _majority(design: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -37,10 +37,9 @@ class Constraint:
 def _row(label: str, name: str, angular: str, linear: str, kind: str, unique: str) -> Constraint:
     angular_dof, linear_dof = (cast(Dof, tuple(map(int, text))) for text in (angular, linear))
     position = ("x" in unique, "y" in unique, "z" in unique)
+    linear_type = LinearType[kind] if kind else None
     axes = distinct_axis(angular_dof), distinct_axis(linear_dof)
-    return Constraint(
-        label, name, angular_dof, linear_dof, LinearType[kind] if kind else None, *axes, position
-    )
+    return Constraint(label, name, angular_dof, linear_dof, linear_type, *axes, position)
 
 
 CONSTRAINTS: dict[str, Constraint] = {
@@ -158,8 +157,7 @@ def describe(
     def count(dof: Dof, what: str) -> str:
         return f"{sum(dof)} {what}{'' if sum(dof) == 1 else 's'}"
 
-    text = f"{count(angular_dof, 'rotation')}, {count(linear_dof, 'translation')}"
     # without rotation, the four linear types are equivalent
     where = f" in {linear_type}" if sum(linear_dof) < 3 and sum(angular_dof) > 0 else ""
     how = f", axes {relation.value}" if relation is not None else ""
-    return f"Unnamed: {text}{where}{how}"
+    return f"Unnamed: {count(angular_dof, 'rotation')}, {count(linear_dof, 'translation')}{where}{how}"

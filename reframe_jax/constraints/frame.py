@@ -205,8 +205,7 @@ def twist_map(located: Located) -> jax.Array:
 def ground_twist(located: Located, velocities: jax.Array) -> jax.Array:
     """Return the twist (6,) of {b} in {g} for velocities (6,) along the axes; inverts :func:`twist_map`."""
     w = times(located.angular_axes, velocities[:3])
-    u = times(located.linear_axes, velocities[3:])
-    return jnp.concatenate([w, u - jnp.cross(w, located.lever)])
+    return jnp.concatenate([w, times(located.linear_axes, velocities[3:]) - jnp.cross(w, located.lever)])
 
 
 def body_twist(frame: Frame, rotation: jax.Array, position: jax.Array, velocities: jax.Array) -> jax.Array:
@@ -232,9 +231,8 @@ def slip(before: Located, now: Located) -> jax.Array:
         axes, m.
     """
     turn = rotations.vee(times(now.rotation, before.rotation.T))
-    step = now.path - before.path
     axes = (before.path_axes + now.path_axes) / 2
-    return jnp.concatenate([times(now.angular_axes.T, turn), times(axes.T, step)])
+    return jnp.concatenate([times(now.angular_axes.T, turn), times(axes.T, now.path - before.path)])
 
 
 def move_frame(

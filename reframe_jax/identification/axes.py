@@ -104,8 +104,7 @@ def _principal_rows(axes: Array, weights: Array, together: Array, free: Array, t
     Constrained axes come first, then free axes, both in ascending order of amplitude. A block is a set of
     axes that may be rotated into each other without a change of the constraint.
     """
-    covariance = jnp.where(together, weights @ total @ weights.T, 0)
-    turn = _eigenvectors(covariance, together)
+    turn = _eigenvectors(jnp.where(together, weights @ total @ weights.T, 0), together)
     axes, weights = axes @ turn, turn.T @ weights
     square = jnp.einsum("if,fg,ig->i", weights, total, weights)
     order = jnp.argsort(jax.lax.stop_gradient(square / jnp.max(square)) + 2.0 * free)
@@ -121,8 +120,7 @@ def _rows_along(axes: Array, rows: Array, dof: Array, total: Array) -> Rows:
 
 def _eigenvectors(covariance: Array, together: Array) -> Array:
     """Return the eigenvectors of the blocks of a covariance (3, 3), with their first derivative."""
-    fixed = jax.lax.stop_gradient(covariance)
-    turn = diagonalize(fixed[:, :, None])
+    turn = diagonalize(jax.lax.stop_gradient(covariance)[:, :, None])
     seen = turn.T @ covariance @ turn
     size = jax.lax.stop_gradient(jnp.diagonal(seen))
     gap = size[None, :] - size[:, None]

@@ -49,9 +49,8 @@ def caution_codes(
     """
     marked = {Caution.FEW_VELOCITIES: velocities <= _FEW, **marks}
     if thresholds is not None:
-        levels = thresholds.angular, thresholds.linear
         first = Caution.CLOSE_ANGULAR_1, Caution.CLOSE_LINEAR_1
-        for code, speeds, level in zip(first, rms, levels, strict=True):
+        for code, speeds, level in zip(first, rms, (thresholds.angular, thresholds.linear), strict=True):
             close = (speeds > level / _CLOSE) & (speeds < level * _CLOSE)
             marked |= {Caution(code << axis): close[axis] for axis in range(3)}
     codes = jnp.zeros((), jnp.int32)

@@ -123,17 +123,15 @@ def identify_unchecked(
         reach = np.asarray(np.nan, dtype) if reach is None else jnp.asarray(reach, dtype)
         arrays = reach, level, key, allowed, samples
         method = Method(bool(samples == 1), exponent, discretization, solver)
-        run = partial(
-            identify_windows if thresholds is None else identify_by_thresholds, arrays, method=method
-        )
+        program = identify_windows if thresholds is None else identify_by_thresholds
+        run = partial(program, arrays, method=method)
         if inside_a_trace:
             found = run_in_trace(run, array, steps, None, CHUNK)
         elif array.ndim > 3 and _is_distributed(array):
             found = _on_mesh(array, steps, arrays, method)
         else:
             # velocities of single steps must not see the padding
-            pad = not (samples == 1 or options.by_steps)
-            found = run_in_pieces(run, array, steps, None, CHUNK, pad)
+            found = run_in_pieces(run, array, steps, None, CHUNK, not (samples == 1 or options.by_steps))
             if array.ndim > 3:
                 found = replace(found, counted=found.counted[..., : array.shape[-3]])
     if inside_a_trace:

@@ -102,13 +102,10 @@ def explain_window(found: Any, spread: Spread | None, tested: Tested | None) -> 
         "below 0.01" if probability < 0.01 else "above 0.99" if probability > 0.99 else f"{probability:.2f}"
     )
     known = "" if np.isnan(probability) else f" (probability {words})"
-    lines = [f"{like}{known}."]
     where = [line for line in (_where(found, spread), _direction(found, spread)) if line]
     if spread is not None and where and not bool(spread.first_order):
         where[-1] += " The noise is high; the true error may exceed this interval."
-    lines += [*_held(found), *where]
-    open_questions = _still_open(found, tested)
-    return "\n".join([*lines, *open_questions])
+    return "\n".join([f"{like}{known}.", *_held(found), *where, *_still_open(found, tested)])
 
 
 def _held(found: Any) -> list[str]:
@@ -206,8 +203,7 @@ def _still_open(found: Any, tested: Tested | None) -> list[str]:
             "move back and forth along every free axis, with a different, changing speed along each"
         )
     elif tested is not None and not path and int(tested.motions) < int(tested.free):
-        number = int(tested.motions)
-        doubts.append(f"only {number} of {int(tested.free)} free axes moved independently")
+        doubts.append(f"only {int(tested.motions)} of {int(tested.free)} free axes moved independently")
         advice.append("move along one axis after the other")
     if found.entry is None and 0 < turns < 3:
         axis = format_vector(np.asarray(found.angular.axes)[:, 0], 2)
@@ -236,9 +232,8 @@ def _unclear_bodies(found: Any) -> str:
     kinds = [own, *(kind for kind in LinearType if found.linear.tied[kind] and kind != own)]
     if len(kinds) == 1 or not found.linear.dof.any() or (entry is not None and entry.linear_type is None):
         return ""
-    unclear = [("the axes of translation", {kind.orientation_body for kind in kinds})]
-    unclear.append(("the point", {kind.position_body for kind in kinds}))
-    parts = [part for part, bodies in unclear if len(bodies) > 1]
+    parts = ["the axes of translation"] if len({kind.orientation_body for kind in kinds}) > 1 else []
+    parts += ["the point"] if len({kind.position_body for kind in kinds}) > 1 else []
     verb = "is" if parts == ["the point"] else "are"
     return (
         f"it is not clear whether {' and '.join(parts)} {verb} fixed in the ground or in the body "

@@ -224,11 +224,10 @@ def _run_pieces(run_rows: Callable[[Any, Any], Any], count: int, chunk: int, siz
 
 def _join(parts: list[Any], numbers: tuple[int, ...], xp: Any = jnp) -> Any:
     """Concatenate parts, pytrees of arrays, of which only the first ``numbers`` rows count."""
-
-    def join(*leaves: Any) -> Any:
-        return xp.concatenate([leaf[:number] for leaf, number in zip(leaves, numbers, strict=True)])
-
-    return jax.tree.map(join, *parts)
+    return jax.tree.map(
+        lambda *leaves: xp.concatenate([leaf[:size] for leaf, size in zip(leaves, numbers, strict=True)]),
+        *parts,
+    )
 
 
 _join_on_gpu = jax.jit(_join, static_argnums=1)  # eagerly, every shape would be a program; NumPy has none

@@ -44,21 +44,18 @@ def rms_velocities(weights: Array, live: Moments, step: Array) -> Array:
     smallest = smallest_scale(live)
     products = jnp.sum(jnp.where(smallest[:, None, None], live.products, 0), axis=0)
     square = jnp.einsum("if,fg,ig->i", weights, products, weights)
-    span = step * jnp.sum(jnp.where(smallest, live.width, 0))
-    return jnp.sqrt(jnp.maximum(square, 1e-30)) / span
+    return jnp.sqrt(jnp.maximum(square, 1e-30)) / (step * jnp.sum(jnp.where(smallest, live.width, 0)))
 
 
 def _log_speed_norm(value: Array, live: Moments, step: Array) -> Array:
     """Convert sums (...) of log variances over axes and scales to geometric means of RMS velocities."""
-    count = jnp.sum(live.details)
     spans = jnp.sum(live.details * jnp.log(live.width * step))
-    return jnp.exp((value / 2 / 3 - spans) / count)
+    return jnp.exp((value / 2 / 3 - spans) / jnp.sum(live.details))
 
 
 def types_over_scales(solved: Solved, live: Moments, step: Array) -> Types:
     """Compute the best frames of one window over its time scales; ``step`` is the mean step, s."""
-    angular, linear = solved.angular_axes, solved.linear_axes
-    dtype = live.products.dtype
+    angular, linear, dtype = solved.angular_axes, solved.linear_axes, live.products.dtype
     points = jnp.concatenate([jnp.ones((4, 1), dtype), solved.origins], axis=1)
     rows = jnp.einsum("tiaf,ta->tif", jnp.asarray(ROWS[LINEAR_KINDS], dtype), points)
     of_linear = jnp.einsum("tai,taf->tif", linear, rows)

@@ -86,5 +86,4 @@ def paper_origins(
         return jnp.moveaxis(place, (2, 1), (0, 1))
     solver = default_solver(exponent) if solver is None else solver
     half = jnp.broadcast_to(jnp.max(window.box), (3,))
-    solution = solver.minimise(PositionObjective(linear, exponent), Box(-half, half), key)
-    return jnp.moveaxis(solution.x, 0, -1)
+    return jnp.moveaxis(solver.minimise(PositionObjective(linear, exponent), Box(-half, half), key).x, 0, -1)

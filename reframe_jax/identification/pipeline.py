@@ -41,8 +41,7 @@ def _identify(options: Any, windows: Any, number: Array | None, *, method: Metho
     details, weight, solved = _search(window, number, key, scales, compare=thresholds is None, method=method)
     if thresholds is None:
         solved = solved._replace(**_compare((window, details, weight, solved), number, allowed))
-    solution = window, details, weight, solved
-    return _report(solution, number, thresholds, allowed, method=method)
+    return _report((window, details, weight, solved), number, thresholds, allowed, method=method)
 
 
 def _identify_in_one_program(options: Any, windows: Any, number: Array | None, *, method: Method) -> Any:

@@ -51,9 +51,8 @@ def prepare_windows(
     """
     count, poses, steps = windows
     status = window_status(poses, steps)
-    failed = status >= 10
     # a failed window gets valid numbers, so that no NaN enters a derivative
-    poses = jnp.where(failed[:, None, None, None], _harmless(poses), poses)
+    poses = jnp.where((status >= 10)[:, None, None, None], _harmless(poses), poses)
     steps = jnp.where(jnp.isfinite(steps) & (steps > 0), steps, 1)
     here = jnp.arange(poses.shape[1], dtype=jnp.int32)[:, None]
     own = here < count

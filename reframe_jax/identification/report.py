@@ -71,8 +71,7 @@ def report_windows(
     else:
         types = jax.vmap(types_over_scales)(solved, live, step)
     of_window = partial(_report_window, thresholds=thresholds, single_steps=single_steps, assumed=assumed)
-    found = jax.vmap(of_window)(window, live, scale_weight, solved, types, step)
-    return _with_status(found, window)
+    return _with_status(jax.vmap(of_window)(window, live, scale_weight, solved, types, step), window)
 
 
 def _report_window(
@@ -150,11 +149,7 @@ def _report_window(
 
 
 def _of_frame(code: Array, types: Candidates, rows: Rows, free: Array) -> dict[str, Array]:
-    """Return what angular and linear frames have in common; see :class:`AngularFrame`.
-
-    The arguments are the type, the frames of all types, the coordinates along the reported axes, and the
-    probability that each axis is free, (3,), or NaN.
-    """
+    """Return the common fields of a frame of type ``code``; ``free`` (3,) are probabilities, or NaN."""
     return {
         "type_code": code,
         "rotvec": types.rotvec[code],
@@ -221,8 +216,7 @@ def _free_probability(winner: Winner, group: int) -> Array:
     """Return the probability that each axis is free, in ascending order, (3,); NaN with thresholds."""
     count = jnp.asarray(_FREE[:, group])
     above = [jnp.sum(jnp.where(count >= free, winner.probability, 0)) for free in (3, 2, 1)]
-    found = jnp.clip(jnp.stack(above), 0, 1)
-    return jnp.where(jnp.isnan(winner.probability[0]), jnp.nan, found)
+    return jnp.where(jnp.isnan(winner.probability[0]), jnp.nan, jnp.clip(jnp.stack(above), 0, 1))
 
 
 def _tied_types(winner: Winner, thresholds: Thresholds | None, types: Types, velocities: Array) -> Array:
@@ -251,8 +245,7 @@ def _with_status(found: tuple[Identification, Array, Array], window: Prepared) -
     """Set the status of the windows, and set the numbers of failed windows to NaN or zero."""
     result, at_bound, codes = found
     still = jnp.sum(result.angular.dof, axis=-1) + jnp.sum(result.linear.dof, axis=-1) == 0
-    outcome = jnp.where(at_bound, Status.ON_BOUNDS, Status.OK)
-    outcome = jnp.where(still, Status.NOT_EXCITED, outcome)
+    outcome = jnp.where(still, Status.NOT_EXCITED, jnp.where(at_bound, Status.ON_BOUNDS, Status.OK))
     outcome = jnp.where(_is_finite(result), outcome, Status.OUT_OF_RANGE).astype(jnp.int32)
     outcome = jnp.where(window.status >= 10, window.status, outcome)
     failed = outcome >= 10
@@ -274,5 +267,4 @@ def _is_finite(found: Identification) -> Array:
     """Return whether all numbers of the frames of each window are finite, (N,) bool."""
     numbers = (found.angular, found.linear, found.noise)
     leaves = [x for x in jax.tree.leaves(numbers) if jnp.issubdtype(x.dtype, jnp.floating)]
-    flat = jnp.concatenate([x.reshape(len(x), -1) for x in leaves], axis=1)
-    return jnp.all(jnp.isfinite(flat), axis=1)
+    return jnp.all(jnp.isfinite(jnp.concatenate([x.reshape(len(x), -1) for x in leaves], axis=1)), axis=1)

@@ -136,9 +136,8 @@ class Identification:
         """
         every, codes = np.asarray(self.entry_probability, float), np.asarray(self.entry_code)
         same = NAME_OF_ENTRY[np.maximum(codes, 0)][..., None] == NAME_OF_ENTRY
-        found = np.where(same, every, 0).sum(axis=-1)
         failed = (np.asarray(self.status_code) >= 10) | np.isnan(every[..., 0]) | (codes < 0)
-        found = np.where(failed, np.nan, found)
+        found = np.where(failed, np.nan, np.where(same, every, 0).sum(axis=-1))
         return found if found.ndim else float(found)
 
     @property
@@ -215,9 +214,7 @@ class Identification:
         if np.shape(self.status_code):
             raise ValueError("A batch has many explanations: index one window first, found[i].")
         host = jax.tree.map(np.asarray, self)
-        if host.status.failed:
-            return str(host.name)
-        return explain_window(host, covariance, excitation)
+        return str(host.name) if host.status.failed else explain_window(host, covariance, excitation)
 
 
 def _dof(dof: ArrayLike) -> Dof:

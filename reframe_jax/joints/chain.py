@@ -156,8 +156,7 @@ def ball_hinges(point: np.ndarray, vectors: np.ndarray) -> tuple[JointPart, ...]
     near gimbal lock, the result is empty.
     """
     turns = rotation_matrices(vectors)
-    main = np.linalg.eigh(vectors.T @ vectors)[1].T
-    bases = np.array([*permutations(main)])
+    bases = np.array([*permutations(np.linalg.eigh(vectors.T @ vectors)[1].T)])
     bases[:, 2] = np.cross(bases[:, 0], bases[:, 1])
     # angle of the second hinge: the third axis leaves the plane normal to the first by this angle
     leaning = [np.abs(turns @ basis[2] @ basis[0]).max() for basis in bases]

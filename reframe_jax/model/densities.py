@@ -52,8 +52,7 @@ def held_likelihood(nodes: Nodes, sizes: Array) -> Array:
     squares, weights, below, _ = _spread(nodes, sizes.ndim)
     # slopes 1 and -7: sqrt(a^2 / s) / (1 + a^2 / s)^4, one division a node
     root = jnp.sqrt(squares)
-    inverse = 1 / (sizes + squares)
-    power = jnp.square(jnp.square(inverse * sizes))
+    power = jnp.square(jnp.square(1 / (sizes + squares) * sizes))
     first = squares[0] / sizes
     rest = below * jnp.sqrt(first / (1 + first / _HELD_TOTAL**2))
     return (add(weights * root * power, 0) / jnp.sqrt(sizes) + rest) / _HELD_TOTAL

@@ -45,8 +45,7 @@ def levenberg_marquardt(
     def step(_: Array, carry: tuple[T, Local, Array]) -> tuple[T, Local, Array]:
         at, here, damping = carry
         change = _damped_step(here, damping)
-        length = jnp.sqrt(total(change * change, 0, 1) + small)
-        change = change * jnp.minimum(1, _LONGEST / length)
+        change = change * jnp.minimum(1, _LONGEST / jnp.sqrt(total(change * change, 0, 1) + small))
         there = materialize(move(at, materialize(change)))
         new = materialize(expand(there))
         lower = new.value < here.value
@@ -57,8 +56,7 @@ def levenberg_marquardt(
     none = jnp.zeros((3, groups, *like.shape), like.dtype)
     unit = unit_matrix(like.dtype, like.ndim + 1)
     nowhere = Local(jnp.full_like(like, jnp.inf), none, none + unit, jnp.stack([none[:, 1:]] * 3))
-    carry = start, nowhere, jnp.full_like(like, 10 * _DAMPING)
-    at, here, _ = jax.lax.fori_loop(0, steps + 1, step, carry)
+    at, here, _ = jax.lax.fori_loop(0, steps + 1, step, (start, nowhere, jnp.full_like(like, 10 * _DAMPING)))
     return at, here.value
 
 

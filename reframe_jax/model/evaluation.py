@@ -135,8 +135,7 @@ def _universal_moments(a: Array, b: Array, products: Array, features: Features) 
     weights = jnp.stack([angle, *turns])
     half = jnp.einsum("inf,nsfg->nsig", weights, products, precision="highest")
     form = jnp.einsum("nsif,jnf->ijsn", half, weights, precision="highest")
-    turned = features.to_rotation[:, :, z.TURN_GROUND]
-    cosine = jnp.einsum("in,nmij,jn->mn", a, turned, b)
+    cosine = jnp.einsum("in,nmij,jn->mn", a, features.to_rotation[:, :, z.TURN_GROUND], b)
     return UniversalMoments(a, b, form, 1 - cosine * cosine)
 
 
@@ -144,12 +143,11 @@ def _squared_levers(features: Features, rotations: Array, origins: Array) -> Arr
     """Squared sensitivity to a rotation of every translation in ``PATHS``, (3, 3, 5, N) m^2."""
     sensitive = jnp.moveaxis(features.to_rotation[:, :, z.IN_BODY], 0, -1)
     inside = jnp.stack([sensitive[:, 2, 1], sensitive[:, 0, 2], sensitive[:, 1, 0]])  # R'p, (3, M, N)
-    position = times(rotations, inside)
     x = origins[:, :, None]
     moved = [
         jnp.broadcast_to(x[:, LinearType.BB], inside.shape),
         times(rotations, jnp.broadcast_to(x[:, LinearType.GB], inside.shape)),
-        x[:, LinearType.GG] - position,
+        x[:, LinearType.GG] - times(rotations, inside),
         times(rotations.swapaxes(0, 1), jnp.broadcast_to(x[:, LinearType.BG], inside.shape)) - inside,
         jnp.zeros_like(inside),
     ]
@@ -179,5 +177,4 @@ def _limited_noise(paths: Array, turns: Array, levers: Array, details: Array, no
     varies = 3 / trace(inverse) > _CONSTANT  # a planar tracker, for example, does not measure all directions
     shown = jnp.max(jnp.where(varies, jnp.stack([of_position, of_rotation]), 0), axis=1)
     # the differences have twice the variance of the noise
-    least = jnp.sqrt(3 / (2 * shown) + 1e-16)
-    return jnp.where(details > 0, jnp.minimum(noise, least), noise)
+    return jnp.where(details > 0, jnp.minimum(noise, jnp.sqrt(3 / (2 * shown) + 1e-16)), noise)

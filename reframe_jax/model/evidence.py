@@ -208,10 +208,9 @@ def _grid(values: np.ndarray, axes: int) -> Array:
 
 def _errors(nodes: Nodes, lever: Array, tilt: Array, held: Array, noise: Array) -> Array:
     """Log evidence of the held coordinates: slow errors e_r of rotations and e_t of translations."""
-    lanes = held.ndim - 1
     least = jnp.asarray([C.error_position, C.error_rotation], noise.dtype).reshape(2, *[1] * (noise.ndim - 1))
     middle = (least**2 + jnp.square(C.error_of_noise * noise)).astype(jnp.float32)
-    steps = _grid(np.exp(2 * _ERRORS), lanes)
+    steps = _grid(np.exp(2 * _ERRORS), held.ndim - 1)
     e_t, e_r = middle[0] * steps, middle[1] * steps  # squares, (G, ...)
     lever = lever.astype(jnp.float32)[:, None]
     turns = jnp.where(held[:3, None], held_likelihood(nodes.rows(slice(0, 3)), e_r * lever[:3]), 1)
@@ -266,8 +265,7 @@ def compare(
     # entries without held coordinates describe the same motion in the coordinates of different types: all of
     # them get the lowest value, less the cost of such a motion
     nothing = ~jnp.any(table.held, axis=0) & jnp.isfinite(value)
-    lowest = jnp.min(jnp.where(nothing, value, jnp.inf), axis=0)
-    value = jnp.where(nothing, lowest - C.nothing_held, value)
+    value = jnp.where(nothing, jnp.min(jnp.where(nothing, value, jnp.inf), axis=0) - C.nothing_held, value)
     return value - jax.nn.logsumexp(value, axis=0)
 
 
@@ -281,9 +279,8 @@ def _raised(log_variance: Array, table: Table, best: Array) -> Array:
     added = jnp.where(jnp.isfinite(least), jnp.exp(least) * C.repeatable_part**2, 0)
     number = total(table.held.astype(log_variance.dtype), 0)
     freer = table.pitch | (number < jnp.max(jnp.where(best, number, 0), axis=0))
-    most = log_variance + 2 * log(C.repeatable_gain)
     raised = jnp.log(jnp.exp(log_variance) + jnp.where(freer, added[:, None], 0))
-    return jnp.minimum(raised, most)
+    return jnp.minimum(raised, log_variance + 2 * log(C.repeatable_gain))
 
 
 def _screw(amplitudes: Amplitudes, pitch: Array, worth: Array) -> Array:

@@ -53,8 +53,7 @@ def pose_features(rotation: jax.Array, position: jax.Array, steps: jax.Array, co
         count: (N,) number of poses before the padding.
     """
     turns, shifts = twist_paths(rotation, position, steps, count)
-    inside = times(jnp.swapaxes(rotation, 0, 1), position)
-    rows = [position, rotation.reshape(9, *position.shape[1:]), inside]
+    rows = [position, rotation.reshape(9, *position.shape[1:]), times(jnp.swapaxes(rotation, 0, 1), position)]
     rows += [turns[:, 0], shifts[:, 0], turns[:, 1], shifts[:, 1]]
     values = jnp.moveaxis(jnp.concatenate(rows), -1, 0)
     own = jnp.arange(values.shape[2])[:, None] < count
@@ -96,8 +95,6 @@ def _sensitivity(values: jax.Array) -> tuple[jax.Array, jax.Array]:
     # R exp(d): every row r of R changes by r x d ... in components, R_il [e_c]_lj
     hats = hat(jnp.eye(3, dtype=values.dtype))
     turned = jnp.einsum("...il,clj->...ijc", rotation, hats).reshape(*values.shape[:-1], 9, 3)
-    nine = jnp.zeros_like(turned)
-    to_position = jnp.concatenate([unit, nine, inverse, zero, inverse, zero, unit], axis=-2)
+    to_position = jnp.concatenate([unit, jnp.zeros_like(turned), inverse, zero, inverse, zero, unit], axis=-2)
     lever = jnp.einsum("...ij,...jk->...ik", hat(p), rotation)
-    to_rotation = jnp.concatenate([zero, turned, hat(q), unit, zero, rotation, lever], axis=-2)
-    return to_position, to_rotation
+    return to_position, jnp.concatenate([zero, turned, hat(q), unit, zero, rotation, lever], axis=-2)

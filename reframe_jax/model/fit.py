@@ -111,8 +111,7 @@ def held_covariance(weights: Array, products: Array, entry: Table) -> Array:
     """
     covariance = jnp.einsum("if,sfg,jg->sij", weights, products, weights)
     both = entry.together & entry.held[:, None] & entry.held[None, :]
-    small = jnp.finfo(covariance.dtype).tiny ** 0.5
-    lifted = jnp.where(entry.held, small, 1.0)
+    lifted = jnp.where(entry.held, jnp.finfo(covariance.dtype).tiny ** 0.5, 1.0)
     covariance = jnp.where(both, covariance, 0) + jnp.diag(lifted)
     return jnp.stack([covariance[:, :3, :3], covariance[:, 3:, 3:]], axis=1)
 
@@ -124,16 +123,12 @@ def _log_determinants(covariance: Array) -> Array:
     return jnp.sum(jnp.log(jnp.maximum(det, jnp.finfo(det.dtype).tiny)), axis=-1)
 
 
-def _tilt_cost(tilt: Array, data: Data, scale: Array, tie: Array) -> Array:
-    return jnp.where(tie, jnp.sum(data.details) * jnp.log1p(jnp.sum(jnp.square(tilt)) / scale**2), 0.0)
-
-
 def objective(parameters: Parameters, data: Data, entry: Table, scale: Array, tie: Array) -> Array:
     """Compute the objective of the fit (see the module), with the cost of the tilt."""
-    weights = coordinates(parameters, data.mean_rotation, entry)
-    covariance = held_covariance(weights, data.products, entry)
+    covariance = held_covariance(coordinates(parameters, data.mean_rotation, entry), data.products, entry)
     value = jnp.sum(data.details * _log_determinants(covariance))
-    return value + _tilt_cost(parameters.tilt, data, scale, tie)
+    tilt_cost = jnp.sum(data.details) * jnp.log1p(jnp.sum(jnp.square(parameters.tilt)) / scale**2)
+    return value + jnp.where(tie, tilt_cost, 0.0)
 
 
 def fit_entry(start: Parameters, data: Data, entry: Table, mean_matrix: Array) -> Parameters:
@@ -147,14 +142,13 @@ def fit_entry(start: Parameters, data: Data, entry: Table, mean_matrix: Array) -
     one = jnp.ones((), data.products.dtype)
     problem = problem_of(moments, data.details, entry, one, data.box, jnp.asarray(False))
     ground = ground_axes(start, data.mean_rotation)
-    inside = jnp.where(body, start.axes, ground)
     tilt = jnp.where(body, start.tilt, 0)
     pitch = jnp.where(entry.pitch, start.pitch, 0)
+    inside = jnp.where(body, start.axes, ground)
     found = descend(problem, Unknowns(inside, start.origin, tilt, pitch), 2 * STEPS)
     axes = jnp.where(body, found.frame, data.mean_rotation.T @ found.frame)
     forms = rotation_forms(jnp.moveaxis(data.products, 0, -1))
-    a, b = ground[:, 2], start.axes[:, 0]
-    a, b, _ = crossed_axes(forms, data.details, mean_matrix, a, b, 2 * STEPS)
+    a, b, _ = crossed_axes(forms, data.details, mean_matrix, ground[:, 2], start.axes[:, 0], 2 * STEPS)
     cross_axes, cross_tilt = crossed_frame(a, b, data.mean_rotation)
     return Parameters(
         jnp.where(entry.crossed, cross_axes, axes),
@@ -177,11 +171,8 @@ def settle(parameters: Parameters, data: Data, entry: Table, scale: Array, tie: 
 
 def curvature(parameters: Parameters, data: Data, entry: Table, scale: Array, tie: Array) -> Array:
     """Compute the exact Hessian (9, 9) of the objective with respect to the step of :func:`move`."""
-
-    def value(step: Array) -> Array:
-        return objective(move(parameters, step, data.box), data, entry, scale, tie)
-
-    return jax.hessian(value)(jnp.zeros(_PARAMETERS, data.products.dtype))
+    hessian = jax.hessian(lambda step: objective(move(parameters, step, data.box), data, entry, scale, tie))
+    return hessian(jnp.zeros(_PARAMETERS, data.products.dtype))
 
 
 def solve_determined(hessian: Array, vector: Array, flat: float = 1e-9) -> Array:
@@ -206,11 +197,8 @@ def _settle_jvp(
 
     def gradient(products: Array, mean_rotation: Array) -> Array:
         seen = data._replace(products=products, mean_rotation=mean_rotation)
-
-        def value(step: Array) -> Array:
-            return objective(move(parameters, step, data.box), seen, entry, scale, tie)
-
-        return jax.grad(value)(zero)
+        slope = jax.grad(lambda step: objective(move(parameters, step, data.box), seen, entry, scale, tie))
+        return slope(zero)
 
     change = tangents[1].products, tangents[1].mean_rotation
     with jax.default_matmul_precision("highest"):

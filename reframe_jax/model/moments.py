@@ -150,8 +150,7 @@ def _about_section(values: jax.Array, weight: jax.Array, section: jax.Array) -> 
     """Values (N, F, P), 0 where the weight (N, 1, P) is 0, relative to the mean of their section (N, P)."""
 
     def relative(values: jax.Array, weight: jax.Array, section: jax.Array) -> jax.Array:
-        both = jnp.concatenate([values, weight]).T
-        sums = jax.ops.segment_sum(both, section, len(section))[section].T
+        sums = jax.ops.segment_sum(jnp.concatenate([values, weight]).T, section, len(section))[section].T
         return (values - sums[:-1] / jnp.maximum(sums[-1], 1)) * weight
 
     return jax.vmap(relative)(values, weight, section)

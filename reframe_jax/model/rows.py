@@ -25,8 +25,7 @@ def _picks() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     for path in PATHS:
         rows = ROWS[KINDS.index(path)].reshape(12, z.COUNT)
         feature, sign = np.abs(rows).argmax(-1), rows.sum(-1)
-        others = np.concatenate([feature, sixes[int(path[0] == "B")]])
-        places.append(feature[:, None] * z.COUNT + others)
+        places.append(feature[:, None] * z.COUNT + np.concatenate([feature, sixes[int(path[0] == "B")]]))
         signs.append(np.outer(sign, np.concatenate([sign, np.ones(6)])))
     return np.stack(places, 2).astype(np.int32), np.stack(signs, 2), sixes
 
@@ -71,8 +70,7 @@ class EntryMoments(NamedTuple):
     def at(self, origin: Array) -> Forms:
         """Return the moments at origins (3, ...), m."""
         _, path = path_of(self.paths, origin)
-        x = origin[:, None, None]
-        return Forms(path, self.rows, self.mixed[:, 0] + total(self.mixed[:, 1:] * x, 1))
+        return Forms(path, self.rows, self.mixed[:, 0] + total(self.mixed[:, 1:] * origin[:, None, None], 1))
 
 
 def entry_moments(products: Array, mean: Array) -> EntryMoments:
@@ -93,11 +91,9 @@ def entry_moments(products: Array, mean: Array) -> EntryMoments:
     unit = unit_matrix(mean.dtype, lanes) + jnp.zeros_like(mean)
     turned = jnp.stack([unit, mean], axis=2)[:, :, None]  # (3, 3, 1, 2, ...)
     for _ in range(2):  # the rows of the symmetric moments, then their columns
-        top = total(turned[:, :, None] * rows[:3, None], 0)
-        rows = jnp.swapaxes(jnp.concatenate([top, rows[3:]]), 0, 1)
+        rows = jnp.swapaxes(jnp.concatenate([total(turned[:, :, None] * rows[:3, None], 0), rows[3:]]), 0, 1)
     body = _IN_BODY.astype(np.int32)
-    position = total(turned[:, :, :, body] * mixed[:, :3, None], 1)
-    mixed = jnp.concatenate([position, mixed[:, 3:]], axis=1)
+    mixed = jnp.concatenate([total(turned[:, :, :, body] * mixed[:, :3, None], 1), mixed[:, 3:]], axis=1)
     return EntryMoments(paths, rows[:, :, :, body], mixed.reshape(3, 4, 6, *rest))
 
 

@@ -35,8 +35,7 @@ _GROUND = {"GB", "GG", "turn in ground", "position", "angle between"}  # directi
 def _weights(kind: str) -> np.ndarray:
     """(3, 4, 27): the row n'(a + B x) of a direction n and an origin x is sum n_i (1, x)_a weights[i, a]."""
     w = np.zeros((3, 4, z.COUNT))
-    cross = np.array([[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]]])
-    cross = np.concatenate([cross, np.array([[[0, 1, 0], [-1, 0, 0], [0, 0, 0]]])])  # e_a x e_i, (a, i, :)
+    cross = np.cross(np.eye(3)[:, None], np.eye(3))  # e_a x e_i, (a, i, :)
     for i in range(3):
         if kind in ("position", "GB"):
             w[i, 0, z.POSITION.start + i] = 1
@@ -108,8 +107,7 @@ class Entry:
         """Whether the axis of the frame is fixed in both bodies."""
         if self.start == "cross":
             return False
-        spread = [b for b in self.blocks if len(b.columns) < 3]
-        return len({b.kind in _GROUND for b in spread}) == 2
+        return len({b.kind in _GROUND for b in self.blocks if len(b.columns) < 3}) == 2
 
     @property
     def dof(self) -> tuple[int, int]:
@@ -132,8 +130,6 @@ def _entries() -> tuple[Entry, ...]:
     still = held("turn in ground", 0, 1, 2)
     slots = {bb: "E", gg: "F", gb: "I", bg: "J"}
     surfaces = {bb: "G", gb: "K", bg: "L", gg: "3 rotations, 2 translations"}
-    curves = {gg: "H", bb: "3 rotations, 1 translation", gb: "3 rotations, 1 translation"}
-    curves[bg] = "3 rotations, 1 translation"
     found = []
     for t in (bg, gb):
         turns, tip = (held(_turn(t), 0, 1), free(_turn(t), 2)), held(t.name, 0, 1)
@@ -146,31 +142,19 @@ def _entries() -> tuple[Entry, ...]:
     found.append(Entry("D", bg, plane, "turn", (0, 1, 2), 2))
     for t in (bb, gb, gg, bg):
         slot = held(_turn(t), 0, 1), free(_turn(t), 2), held(t.name, 0), free(t.name, 1), held("position", 2)
+        surface = turning(t), free(t.name, 0, 1), held(t.name, 2)
+        curve = "H" if t == gg else "3 rotations, 1 translation"
         any_origin = (0, 2) if t in (bb, gg) else (2,)
         found += [
             Entry(slots[t], t, slot, "turn", any_origin, 4),
-            Entry(
-                surfaces[t],
-                t,
-                (turning(t), free(t.name, 0, 1), held(t.name, 2)),
-                "normal",
-                (2,) if t == bb else (),
-                3,
-            ),
-            Entry(curves[t], t, (turning(t), held(t.name, 0, 1), free(t.name, 2)), "along", (), 4),
+            Entry(surfaces[t], t, surface, "normal", (2,) if t == bb else (), 3),
+            Entry(curve, t, (turning(t), held(t.name, 0, 1), free(t.name, 2)), "along", (), 4),
             Entry("unconstrained", t, (turning(t), free(t.name, 0, 1, 2)), "turn", (0, 1, 2), 0),
         ]
-    anywhere = (0, 1, 2)
+    lift, anywhere = (still, free("position", 0, 1), held("position", 2)), (0, 1, 2)
     found += [
         Entry("B", gb, (still, held("position", 0, 1), free("position", 2)), "path", anywhere, 2),
-        Entry(
-            "0 rotations, 2 translations",
-            gb,
-            (still, free("position", 0, 1), held("position", 2)),
-            "lift",
-            anywhere,
-            2,
-        ),
+        Entry("0 rotations, 2 translations", gb, lift, "lift", anywhere, 2),
         Entry("0 rotations, 3 translations", gb, (still, free("position", 0, 1, 2)), "path", anywhere, 0),
         Entry("fixed", gb, (still, held("position", 0, 1, 2)), "path", anywhere, 0),
     ]
@@ -252,11 +236,6 @@ _COLUMNS = np.concatenate([leaf.reshape(len(ENTRIES), -1) for leaf in TABLE], ax
 
 def entries_at(codes: jax.Array) -> Table:
     """Return the rows of the table with given codes; the axes of ``codes`` come last."""
-    columns = jnp.asarray(_COLUMNS)[:, codes]
-    parts = jax.lax.split(columns, [leaf[0].size for leaf in TABLE])
-    return Table(
-        *(
-            part.reshape(*leaf.shape[1:], *codes.shape).astype(leaf.dtype)
-            for part, leaf in zip(parts, TABLE, strict=True)
-        )
-    )
+    parts = jax.lax.split(jnp.asarray(_COLUMNS)[:, codes], [leaf[0].size for leaf in TABLE])
+    pairs = zip(parts, TABLE, strict=True)
+    return Table(*(part.reshape(*leaf.shape[1:], *codes.shape).astype(leaf.dtype) for part, leaf in pairs))

@@ -108,8 +108,7 @@ def angular_velocities(
     Returns:
         (..., 2, K, 3) rad/s: in the axes of {g}, then in the axes of {b} (the order of ``AngularType``).
     """
-    rates, _ = velocity_components(poses, dt, discretization)
-    return jnp.moveaxis(rates[:, 0], (2, 1, 0), (-3, -2, -1))
+    return jnp.moveaxis(velocity_components(poses, dt, discretization)[0][:, 0], (2, 1, 0), (-3, -2, -1))
 
 
 @partial(jax.jit, static_argnames="discretization", inline=True)
@@ -138,5 +137,4 @@ def linear_velocity_maps(
     Raises:
         ValueError: for an unknown discretization.
     """
-    _, maps = velocity_components(poses, dt, discretization)
-    return jnp.moveaxis(maps, (3, 2, 0, 1), (-4, -3, -2, -1))
+    return jnp.moveaxis(velocity_components(poses, dt, discretization)[1], (3, 2, 0, 1), (-4, -3, -2, -1))

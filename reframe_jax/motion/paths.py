@@ -84,8 +84,7 @@ def mean_twists(rotation: Array, position: Array, steps: Array, count: Array) ->
     h = steps.T
     twist = step_twists(rotation, position) / h
     even = _are_even(steps)
-    weights = _derivative_weights(steps, even, count - 1)
-    return twist - _brackets(twist, weights, h, even)
+    return twist - _brackets(twist, _derivative_weights(steps, even, count - 1), h, even)
 
 
 def twist_paths(rotation: Array, position: Array, steps: Array, count: Array) -> tuple[Array, Array]:

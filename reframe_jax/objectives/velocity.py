@@ -18,8 +18,7 @@ def log_norm(covariance: symmetric.Symmetric, exponent: float) -> jax.Array:
     The result is infinite where a covariance is not positive definite.
     """
     # the geometric mean needs only the product of the variances, which equals the product of the pivots
-    variances = symmetric.pivots(covariance) if exponent == 0 else symmetric.eigh(covariance)[0]
-    squares = jnp.stack(variances)
+    squares = jnp.stack(symmetric.pivots(covariance) if exponent == 0 else symmetric.eigh(covariance)[0])
     positive = jnp.all(squares > 0, axis=0)
     log_rms = jnp.log(jnp.where(positive[None], squares, 1)) / 2
     return jnp.where(positive, log_power_mean(log_rms, exponent), jnp.inf)

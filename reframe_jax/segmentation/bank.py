@@ -1,8 +1,7 @@
 """A bank of models of constraints, fitted to spans of a recording, and the evidence for each model.
 
 A model is a set of held coordinates: scalars, such as the height of a tip above a plane, that hardly change
-in the span. A span is a range of cells (:mod:`reframe_jax.segmentation.cells`). A row contains the weights
-with which one coordinate is the sum of the features of a cell.
+in the span. A span is a range of cells; for rows, see :mod:`reframe_jax.segmentation.rows`.
 """
 
 from typing import NamedTuple

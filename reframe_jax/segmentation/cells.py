@@ -129,8 +129,7 @@ def path_features(rotation: np.ndarray, position: np.ndarray) -> tuple[np.ndarra
     in_ground = np.concatenate([position[:, :, None], rotation], axis=2)
     in_body = np.concatenate([-(back @ position[:, :, None]), back], axis=2)
     linear = path(shift, turn), in_ground, path(shift_ground, turn_ground), in_body
-    start = np.zeros((1, 3))
-    angular = [np.concatenate([start, np.cumsum(each, axis=0)]) for each in (turn_ground, turn)]
+    angular = [np.concatenate([np.zeros((1, 3)), np.cumsum(each, axis=0)]) for each in (turn_ground, turn)]
     return np.stack([each.reshape(-1, 12) for each in linear]), np.stack(angular)
 
 

@@ -32,14 +32,13 @@ def fit_spans(cells: Cells, spans: np.ndarray) -> Fits:
     floor, floor_turn = cells.floor
     linear[..., [0, 4, 8], [0, 4, 8]] += floor**2
     variance, axes = np.linalg.eigh(angular + floor_turn**2 * np.eye(3))
-    turn = np.sqrt(variance)
     form = np.ascontiguousarray(linear.reshape(-1, 144).T).reshape(3, 4, 3, 4, -1)
     weights, size = _least_motion_rows(form, cells.reach)
     return Fits(
         weights=weights.reshape(3, 3, 12, number, 4).transpose(3, 0, 4, 1, 2),
         size=size.reshape(3, 3, number, 4).transpose(2, 0, 3, 1),
         axes=np.swapaxes(axes, -1, -2),
-        turn=turn,
+        turn=np.sqrt(variance),
         linear_mean=linear_mean,
         angular_mean=angular_mean,
     )
@@ -70,8 +69,7 @@ def _least_motion_rows(form: np.ndarray, reach: float) -> tuple[np.ndarray, np.n
     """
     total = np.einsum("iaibp->abp", form)
     ridge = 1e-9 + 1e-4 * np.einsum("aap->p", total[1:, 1:]) / 3
-    least = -_solve(total[1:, 1:] + ridge * np.eye(3)[:, :, None], total[1:, 0])
-    x = np.clip(least, -reach, reach)
+    x = np.clip(-_solve(total[1:, 1:] + ridge * np.eye(3)[:, :, None], total[1:, 0]), -reach, reach)
     covariance = np.moveaxis(_covariance(form, x)[1], -1, 0)
     axes = np.moveaxis(np.linalg.eigh(covariance)[1], 0, -1)  # columns, in ascending order of variance
     found = []
@@ -80,8 +78,7 @@ def _least_motion_rows(form: np.ndarray, reach: float) -> tuple[np.ndarray, np.n
         found.append((x, axes, squares))
     weights, size = [], []
     for held, (x, axes, squares) in enumerate(reversed(found), 1):
-        rows = np.swapaxes(axes, 0, 1)[:, :, None] * _with_one(x)
-        weights.append(rows.reshape(3, 12, -1))
+        weights.append((np.swapaxes(axes, 0, 1)[:, :, None] * _with_one(x)).reshape(3, 12, -1))
         size.append(np.where(np.arange(3)[:, None] < held, np.sqrt(squares), np.inf))
     return np.stack(weights), np.stack(size)
 
@@ -143,16 +140,13 @@ def _levenberg(form: np.ndarray, here: tuple[np.ndarray, ...], held: int, dampin
         v = axes[:, i]
         turned = _HAT @ v  # (3, 3, P), column c is e_c x v
         part = np.einsum("iajp,ip->ajp", half[:, 1:], v)
-        inner = np.einsum("iajbp,ip->ajbp", form[:, 1:, :, 1:], v)
-        along = np.einsum("ijp,jp->ip", covariance, v)
-        across = np.einsum("ijp,jcp->icp", covariance, turned)
         block = np.empty_like(hessian)
-        block[:3, :3] = np.einsum("icp,idp->cdp", turned, across)
+        block[:3, :3] = np.einsum("icp,idp->cdp", turned, np.einsum("ijp,jcp->icp", covariance, turned))
         block[3:, :3] = np.einsum("ajp,jcp->acp", part, turned)
         block[:3, 3:] = np.swapaxes(block[3:, :3], 0, 1)
-        block[3:, 3:] = np.einsum("ajbp,jp->abp", inner, v)
+        block[3:, 3:] = np.einsum("ajbp,jp->abp", np.einsum("iajbp,ip->ajbp", form[:, 1:, :, 1:], v), v)
         hessian += block / square[i]
-        slope[:3] += np.cross(v, along, axis=0) / square[i]
+        slope[:3] += np.cross(v, np.einsum("ijp,jp->ip", covariance, v), axis=0) / square[i]
         slope[3:] += np.einsum("ajp,jp->ap", part, v) / square[i]
     diagonal = np.einsum("iip->ip", hessian)  # a view
     diagonal += damping * diagonal + 1e-10 * diagonal.max(axis=0) + 1e-30

@@ -110,8 +110,7 @@ class BasinHopping:
         suggested = round(_SUGGESTED * self.restarts) if self.rounds else 0
         x = even_starts(objective, box, seed_key, self.restarts - suggested)
         if suggested:
-            next_key = random.fold_in(seed_key, 1)
-            more = suggested_starts(objective, box, next_key, suggested, _CANDIDATES[0])
+            more = suggested_starts(objective, box, random.fold_in(seed_key, 1), suggested, _CANDIDATES[0])
             x = jnp.concatenate([x, more], axis=1)
         value = jnp.full(x.shape[1:], jnp.inf, dtype=objective.dtype)
         return SearchState(jnp.zeros((), jnp.int32), key, x, value, x, value)
@@ -133,8 +132,7 @@ class BasinHopping:
         moved = jnp.clip(state.x + (high - low) * jump.reshape(*jump.shape, *more), low, high)
         start = jnp.where(state.hop > self.hops, state.best_x, moved)
         start = jnp.where(state.hop == 0, state.x, start)
-        chains = repeat_problems(objective, len(more), self.restarts)
-        x, value = self.inner(chains, box, start)
+        x, value = self.inner(repeat_problems(objective, len(more), self.restarts), box, start)
         value = jnp.where(jnp.isnan(value), jnp.inf, value)
         accept = value < state.value + rise.reshape(-1, *more)
         better = value < state.best_value
@@ -165,7 +163,6 @@ class BasinHopping:
         1 + ``hops`` + ``polish`` steps, in each of their rounds.
         """
         state = self.init(objective, box, key)
-        last = 1 + self.hops + self.polish
 
         def continues(carry: _Carry) -> jax.Array:
             _, number, is_open = carry
@@ -174,7 +171,7 @@ class BasinHopping:
         def advance(carry: _Carry) -> _Carry:
             before, number, is_open = carry
             after = self.step(objective, box, before)
-            first, over = (number == 0) & (after.hop == 1), after.hop == last
+            first, over = (number == 0) & (after.hop == 1), after.hop == 1 + self.hops + self.polish
             pairs = {name: (getattr(after, name), getattr(before, name)) for name in _CHAINS}
             after = replace(after, **{name: jnp.where(is_open, *pair) for name, pair in pairs.items()})
             value = jnp.where(first, after.value, after.best_value)
@@ -268,8 +265,7 @@ def suggested_starts(
     batch, dtype = objective.batch, objective.dtype
     if not (isinstance(objective, MomentsObjective) and objective.unknowns == "position"):
         return even_starts(objective, box, key, count)
-    d = random.normal(key, (3, candidates * count), dtype)
-    d = d.reshape(3, candidates * count, *([1] * len(batch)))
+    d = random.normal(key, (3, candidates * count), dtype).reshape(3, -1, *([1] * len(batch)))
     # coefficients of d^T Sigma(p) d; its gradient is zero at the minimum
     q = jnp.zeros((10, candidates * count, *batch), dtype)
     for (a, b), row in zip(INDEX_PAIRS, objective.moments, strict=True):

@@ -84,11 +84,8 @@ class ValleySteps(MomentsSteps):
         def steps_at(x: jax.Array) -> jax.Array:
             gradient, hessian = derivatives(norm.value, x)
             weights = jax.grad(log_norm)(norm.covariance(x), norm.exponent)
-
-            def bound(x: jax.Array) -> jax.Array:
-                return jnp.sum(jnp.stack(weights) * jnp.stack(norm.covariance(x)))
-
-            down = steps_in_box(x, box.low, box.high, gradient, jax.hessian(bound)(x))[:1]
+            curvature = jax.hessian(lambda x: jnp.sum(jnp.stack(weights) * jnp.stack(norm.covariance(x))))
+            down = steps_in_box(x, box.low, box.high, gradient, curvature(x))[:1]
             steps = jnp.concatenate([steps_in_box(x, box.low, box.high, gradient, hessian), down])
             # shorten each step at the box, so that it stays in a narrow valley, and project the last step
             room = jnp.where(steps > 0, (x - box.low)[None], (x - box.high)[None])
@@ -135,8 +132,7 @@ class FrameSteps(MomentsSteps):
             """S = E^T Sigma E, (3, 3)."""
             axes, origin = frame
             at = tuple(origin) if len(origin) else (0.0, 0.0, 0.0)
-            sigma = symmetric.to_matrix(covariance_at(norm.moments, at))
-            return matmul(axes.T, matmul(sigma, axes))
+            return matmul(axes.T, matmul(symmetric.to_matrix(covariance_at(norm.moments, at)), axes))
 
         def moved(frame: _Frame, step: jax.Array) -> _Frame:
             return rotate(-step[:3], frame[0].T).T, frame[1] + step[3:]  # E exp(step) to second order
@@ -146,19 +142,11 @@ class FrameSteps(MomentsSteps):
 
         def steps_at(frame: _Frame) -> jax.Array:
             here = jnp.concatenate([jnp.zeros_like(free), frame[1]])
-
-            def value(there: jax.Array) -> jax.Array:
-                return level(moved(frame, there - here))
-
-            gradient, hessian = derivatives(value, here)
+            gradient, hessian = derivatives(lambda there: level(moved(frame, there - here)), here)
             s = along(frame)
             parts = jax.grad(lambda v: log_power_mean(jnp.log(v) / 2, norm.exponent))(jnp.diagonal(s))
-
-            def bound(origin: jax.Array) -> jax.Array:
-                return jnp.sum(parts * jnp.diagonal(along((frame[0], origin))))
-
-            curvature = jax.hessian(bound)(frame[1])
-            shift = steps_in_box(frame[1], low[3:], high[3:], gradient[3:], curvature)[0]
+            curvature = jax.hessian(lambda origin: jnp.sum(parts * jnp.diagonal(along((frame[0], origin)))))
+            shift = steps_in_box(frame[1], low[3:], high[3:], gradient[3:], curvature(frame[1]))[0]
             turn, still = jnp.zeros_like(here).at[:3].set(_aligning_rotation(s)), jnp.zeros_like(here)
             extra = jnp.stack([turn.at[3:].set(shift), turn, still.at[3:].set(shift)])
             return jnp.concatenate([steps_in_box(here, low, high, gradient, hessian), extra])

@@ -38,8 +38,7 @@ def newton_steps(gradient: jax.Array, hessian: jax.Array) -> jax.Array:
         solved = solved.at[:, :j].add(-solved[:, j, None] * (rows[:j, j] / pivots[:j])[None])
     newton, descent = solved
     slope = jnp.sum(newton * gradient)
-    steps = [newton / (1 + s * slope) for s in _POWERS]
-    return jnp.stack(steps + [part * descent for part in _PARTS])
+    return jnp.stack([*(newton / (1 + s * slope) for s in _POWERS), *(part * descent for part in _PARTS)])
 
 
 def derivatives(value: Callable[[jax.Array], jax.Array], x: jax.Array) -> tuple[jax.Array, jax.Array]:

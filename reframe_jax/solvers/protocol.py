@@ -49,8 +49,7 @@ class Box:
 
     def unfold(self, x: jax.Array) -> jax.Array:
         """Return a vector z (dim,) that :meth:`fold` maps to a point x of the box."""
-        unit = (2 * x - self.high - self.low) / (self.high - self.low)
-        return jnp.arcsin(jnp.clip(unit, -1, 1))
+        return jnp.arcsin(jnp.clip((2 * x - self.high - self.low) / (self.high - self.low), -1, 1))
 
 
 LocalMinimiser = Callable[[Objective, Box, jax.Array], tuple[jax.Array, jax.Array]]
@@ -95,8 +94,7 @@ def repeat_problems(tree: _T, axes: int, count: int) -> _T:
 
     def repeat(a: jax.Array) -> jax.Array:
         place = a.ndim - axes
-        shape = (*a.shape[:place], count, *a.shape[place:])
-        return jnp.broadcast_to(jnp.expand_dims(a, place), shape)
+        return jnp.broadcast_to(jnp.expand_dims(a, place), (*a.shape[:place], count, *a.shape[place:]))
 
     return jax.tree.map(repeat, tree)
 

@@ -84,11 +84,9 @@ class Covariance:
             Covariance (n, n) of the n numbers, with the leading axes of ``found``.
         """
 
-        def changed(change: jax.Array, one: Identification) -> jax.Array:
-            return jnp.ravel(function(move(one, change)))
-
         def of_one(one: Identification, matrix: jax.Array) -> jax.Array:
-            slope = jax.jacfwd(changed)(jnp.zeros(9, matrix.dtype), one)
+            jacobian = jax.jacfwd(lambda change: jnp.ravel(function(move(one, change))))
+            slope = jacobian(jnp.zeros(9, matrix.dtype))
             return slope @ matrix @ slope.T
 
         for _ in self.matrix.shape[:-2]:

@@ -110,8 +110,7 @@ def _spreads(
     number: int,
 ) -> tuple[jax.Array, jax.Array]:
     """Covariances of a recording (9, 9), and of the recording followed by each of M motions, (M, 9, 9)."""
-    made = _move(frame, last, speeds, step, number)
-    made = made.at[..., :3, 3].add(-centre)
+    made = _move(frame, last, speeds, step, number).at[..., :3, 3].add(-centre)
     rotation, position = kinematics.split_poses(made)
     count = jnp.full(len(made), number, jnp.int32)
     features = pose_features(rotation, position, jnp.full((1, number - 1), step), count)
@@ -153,7 +152,6 @@ def _move(frame: Frame, start: jax.Array, speeds: jax.Array, step: float, number
             pose = pose @ pose_exp(twist(half) * step)
             return pose, pose
 
-        times = (jnp.arange(number, dtype=speed.dtype) + 0.5) * step
-        return jax.lax.scan(advance, start, times)[1]
+        return jax.lax.scan(advance, start, (jnp.arange(number, dtype=speed.dtype) + 0.5) * step)[1]
 
     return jax.vmap(one)(speeds)

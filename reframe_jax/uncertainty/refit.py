@@ -183,10 +183,7 @@ def align_scales(moments: Moments, count: int) -> tuple[Array, Array]:
 
 
 def _moments_of_parts(window: Prepared, parts: str, about_mean: Array) -> tuple[Moments, Array]:
-    """Moments (N * M, ...) of the parts of windows, and the number of poses in each part, (N, M).
-
-    The parts are the halves and thirds of the windows, after the whole, or the windows without a block.
-    """
+    """Moments (N * M, ...) of the parts of windows, and the number of poses in each part, (N, M)."""
     values, count = window.features.values, window.count
     every = jnp.arange(values.shape[2], dtype=jnp.int32)
     if parts == "spans":
@@ -288,10 +285,7 @@ def _start(found: Estimate, axes: Array, centre: Array, mean: Array, entry: Tabl
 def _frames(
     parameters: Parameters, ground: Array, mean: Array, found: Estimate, entry: Table
 ) -> tuple[Array, Array]:
-    """Angular and linear axes (2, 3, 3) and the origin (3,), each in the body of its type.
-
-    ``ground`` (3, 3) are the axes of the parameters in the ground.
-    """
+    """Axes (2, 3, 3) and origin (3,) in the bodies of their types; ``ground`` has the axes in the ground."""
     bodies = jnp.stack([ground, parameters.axes])
     # a universal joint does not turn about the normal of its two axes
     to_ground = jnp.where(found.angular.type_code == int(AngularType.G), mean, jnp.eye(3, dtype=mean.dtype))
@@ -308,5 +302,4 @@ def _frames(
 
 def _in_other_body(origin: Array, mean: Array, in_ground: Array, to_ground: Array) -> Array:
     """Express an origin (3,) in the ground or the body, at the mean pose; only joints have it in both."""
-    moved = jnp.where(to_ground, mean @ origin, mean.T @ origin)
-    return jnp.where(in_ground == to_ground, origin, moved)
+    return jnp.where(in_ground == to_ground, origin, jnp.where(to_ground, mean @ origin, mean.T @ origin))

@@ -96,16 +96,13 @@ def _student_variance(freedom: Array) -> Array:
 
 
 def _spread_of_fit(fit: Refit) -> tuple[Array, Array, Array]:
-    """Covariance of the nine components of one part, and the difference between two estimates of the axes.
+    """Covariance (9, 9) of one part, the difference (9,) of two estimates, and its covariance (9, 9).
 
     The variances of constrained coordinates are estimates from the independent values of each scale. The
     degrees of freedom follow from Welch and Satterthwaite, with the information of the scales as weights.
-
     If the constraint has one axis through both bodies, the tilt is the difference between its estimates.
     Otherwise one estimate is from rotations, and the other from translations, each after one scoring step.
-
-    The result is the covariance (9, 9), the difference (9,) of the components, and the covariance (9, 9) of
-    the difference for white errors.
+    The covariance of the difference is for white errors.
     """
     details, slopes, entry, prior = fit.details, fit.slopes, fit.entry, fit.prior
     each, gradient = information(fit, fit.products, details)
@@ -114,18 +111,16 @@ def _spread_of_fit(fit: Refit) -> tuple[Array, Array, Array]:
         jnp.concatenate([jnp.sum(by_kind, axis=0)[None], by_kind]), prior
     )
     influence = total @ slopes.T
-    part = (
-        jnp.einsum("pn,stpq,qn->nst", influence, each, influence).reshape(3, 3, *each.shape[:2]).sum(axis=1)
-    )
+    part = jnp.einsum("pn,stpq,qn->nst", influence, each, influence)
+    part = part.reshape(3, 3, *each.shape[:2]).sum(axis=1)
     tiny = jnp.finfo(part.dtype).tiny ** 0.5
     part = part / (jnp.sum(part, axis=(1, 2), keepdims=True) + tiny)
     number = 1 / (jnp.sum(jnp.square(part) / jnp.maximum(details, 0.5)[:, None], axis=(1, 2)) + 1e-6)
     freedom = jnp.maximum(number - 1, _FEWEST)
     factor = jnp.repeat(jnp.sqrt(_student_variance(freedom) * jnp.maximum(number / freedom, 1)), 3)
     score = jnp.sum(gradient, axis=0)
-    step = jnp.where(
-        entry.tied, jnp.zeros_like(prior).at[:2].set(fit.tilt), translations @ score[1] - rotations @ score[0]
-    )
+    step = translations @ score[1] - rotations @ score[0]
+    step = jnp.where(entry.tied, jnp.zeros_like(prior).at[:2].set(fit.tilt), step)
     tilt = jnp.zeros_like(total).at[:2, :2].set(total[6:8, 6:8])
     chance = jnp.where(entry.tied, tilt, rotations + translations)
     covariance = slopes @ influence * factor[:, None] * factor[None]
@@ -143,8 +138,7 @@ def _parts_with_prior(refit: Refit, own: Array) -> tuple[Array, Array]:
     components (M, 3, 3) of the estimates, by group, and their covariances (M, 3, 3, 3) for white errors: the
     mean of the covariances from the errors of the part and of the whole window.
     """
-    moved = covariances_of_motions(refit.of_whole(), refit.products, refit.details)
-    moved = jax.vmap(_blocks)(moved)
+    moved = jax.vmap(_blocks)(covariances_of_motions(refit.of_whole(), refit.products, refit.details))
     values, axes, known = _principal(moved[0] + _PRIOR * _LENGTHS[:, None, None, None] * moved)
     inverse = jnp.where(known, 1 / jnp.where(known, values, 1), 0)
     weight = (1 + _PRIOR) * moved[0] @ jnp.einsum("mgij,mgj,mgkj->mgik", axes, inverse, axes)
