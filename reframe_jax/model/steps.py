@@ -153,22 +153,21 @@ def _row(problem: Problem, at: Unknowns) -> tuple[Array, Array, Array]:
     return total(problem.details * jnp.log(size), 0), gradient, hessian
 
 
-def _tilt_cost(problem: Problem, tilt: Array) -> tuple[Array, Array, Array]:
-    """The cost of the tilt, half its gradient (3, ...) in tilt and pitch, half its Hessian (3, 3, ...)."""
-    count, squared = total(problem.details, 0), total(tilt * tilt, 0)
-    cost = jnp.where(problem.tie, count * jnp.log1p(squared / problem.scale**2), 0)
-    bend = jnp.where(problem.tie, count / (problem.scale**2 + squared), 0)
-    diagonal = jnp.asarray(np.diag([1.0, 1, 0]), bend.dtype).reshape(3, 3, *[1] * bend.ndim)
-    return cost, jnp.concatenate([bend * tilt, jnp.zeros_like(bend)[None]]), diagonal * bend
+# the diagonal (3, 3, 3) of the tilt, in the group of tilt and pitch
+_TILTS = np.diag([1.0, 1, 0])[:, :, None] * (np.arange(3) == 2)
 
 
 def _expand(problem: Problem, at: Unknowns) -> Local:
     """The objective about a point, in rotation, origin, and tilt with pitch."""
-    held = _held_parts(problem, at)
-    cost, slope, bend = _tilt_cost(problem, at.tilt)
-    gradient = jnp.concatenate([held.gradient[:, :2], (held.gradient[:, 2] + slope)[:, None]], axis=1)
-    diagonal = jnp.concatenate([held.diagonal[:, :, :2], (held.diagonal[:, :, 2] + bend)[:, :, None]], axis=2)
-    return Local(held.value + cost, gradient, diagonal, held.coupling)
+    held, tilt = _held_parts(problem, at), at.tilt
+    count, squared = total(problem.details, 0), total(tilt * tilt, 0)
+    cost = jnp.where(problem.tie, count * jnp.log1p(squared / problem.scale**2), 0)
+    bend = jnp.where(problem.tie, count / (problem.scale**2 + squared), 0)
+    none = jnp.zeros_like(held.gradient[:, 0])
+    slope = jnp.concatenate([bend * tilt, none[:1]])
+    gradient = held.gradient + jnp.stack([none, none, slope], axis=1)
+    bends = jnp.asarray(_TILTS, bend.dtype).reshape(3, 3, 3, *[1] * bend.ndim) * bend
+    return Local(held.value + cost, gradient, held.diagonal + bends, held.coupling)
 
 
 # axes of the scales
