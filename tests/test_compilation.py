@@ -128,9 +128,8 @@ def test_every_process_builds_the_same_program() -> None:
 
 
 def test_all_programs_of_a_pipeline_are_traced_before_the_first_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        compilation, "can_keep", lambda static: False
-    )  # a program of the last run has no trace
+    # a program that the last run kept is not traced
+    monkeypatch.setattr(compilation, "can_keep", lambda static: False)
     calls: list[str] = []
 
     def double(x: jax.Array) -> dict[str, jax.Array]:

@@ -9,11 +9,11 @@ import pytest
 
 from reframe_jax.geometry import kernel
 from reframe_jax.geometry.small import invert_symmetric, pick, solve_positive
+from reframe_jax.geometry.symmetric import INDEX_PAIRS
 from reframe_jax.model import crossed, search, steps
 from reframe_jax.objectives.moments import MONOMIALS
 
 SCALES, PROBLEMS = 3, 4
-PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 def moments(rng, *shape, size=7):
@@ -26,7 +26,7 @@ def search_problem(rng):
     square = moments(rng, 12).reshape(3, 4, 3, 4, SCALES, 1, 1, PROBLEMS)
     coefficients = [
         [square[i, a, j, b] if a == b else square[i, a, j, b] + square[i, b, j, a] for a, b in MONOMIALS]
-        for i, j in PAIRS
+        for i, j in INDEX_PAIRS
     ]
     counts = rng.uniform(5, 50, (SCALES, 1, 1, PROBLEMS))
     return np.array(coefficients), counts, np.full((1, 1, PROBLEMS), 2.0)
