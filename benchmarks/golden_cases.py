@@ -7,7 +7,8 @@ origin lies within 0.3 m of the body's origin along each axis. Sums of sines dri
 - ``slow``: one sine of 0.2 to 0.6 rad/s an axis, amplitude 0.35 to 0.85 rad/s and a quarter of that in m/s;
 - ``paper``: the velocities of the paper's section 5.1;
 - ``measured``: three sines of 0.1 to 0.8 Hz an axis, rms 0.5 rad and 50 to 100 mm;
-- ``stops``: the same path in three moves, with rests of 0.83 s between them;
+- ``long``, ``long turns``: the same sines five times as fast, as in 25 s, and with twice the rotation;
+- ``stops``: the path of ``measured`` in three moves, with rests of 0.83 s between them;
 - ``small``, ``small turns``, ``small shifts``: a tenth of all, of the rotations, or of the translations.
 
 In the group ``faults``, recordings of the motion ``measured`` with white noise have a fault: four poses that
@@ -173,6 +174,8 @@ def nothing_specs() -> Iterator[Spec]:
         yield Spec("nothing", "unconstrained", motion, rate, sigma, seed=seed)
     for seed, motion, (slow, turn) in product(range(10, 15), ("exciting", "measured"), SLOW):
         yield Spec("nothing", "unconstrained", motion, 20, ENCODER[0], slow, turn, seed)
+    for seed, motion, sigma in product(range(10, 14), ("long", "long turns"), SIGMAS[:4]):
+        yield Spec("nothing", "unconstrained", motion, 100, sigma, seed=seed)
 
 
 def correlated_specs() -> Iterator[Spec]:
@@ -241,7 +244,7 @@ _PAPER[:3, :, 0] = (
 )
 _PAPER[:3, 0, 1] = 0.5, 2, 0
 # fractions of the rotations and the translations of the motion ``measured``
-_PARTS = {"small": (0.1, 0.1), "small turns": (0.1, 1), "small shifts": (1, 0.1)}
+_PARTS = {"small": (0.1, 0.1), "small turns": (0.1, 1), "small shifts": (1, 0.1), "long turns": (2, 1)}
 _STOPS = 0.6  # rests per second
 _FILTER = 0.06  # s, time constant of correlated errors
 
@@ -318,7 +321,7 @@ def _draw_sines(spec: Spec, rng: np.random.Generator) -> np.ndarray:
         sines = _PAPER.copy()
     else:
         amplitude, rate = rng.uniform(0.3, 1, (6, 3)), 2 * np.pi * rng.uniform(0.1, 0.8, (6, 3))
-        sines = np.array([amplitude, rate, phase, stops])
+        sines = np.array([amplitude, (5 if spec.motion.startswith("long") else 1) * rate, phase, stops])
         rms = np.std(_integrate(_velocity(sines, _TIMES).T), axis=0)
         turn, shift = _PARTS.get(spec.motion, (1, 1))
         size = np.concatenate([np.full(3, turn * 0.5), shift * rng.uniform(0.05, 0.1, 3)])

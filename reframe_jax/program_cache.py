@@ -121,7 +121,7 @@ def _version() -> str:
 
 
 def _read(file: Path) -> tuple[bytes, Any] | None:
-    """What :func:`_write` wrote, or None if the file is missing or damaged."""
+    """Read a kept program; None if the file is missing or damaged."""
     try:
         content = file.read_bytes()
     except OSError:

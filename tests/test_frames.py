@@ -180,8 +180,9 @@ class TestConstraintFrame:
         np.testing.assert_allclose(frame.linear_axes, rotation_exp(jnp.asarray(rotvec)))
 
     def test_errors(self):
-        with pytest.raises(KeyError, match="No constraint 'hinge'"):
-            ConstraintFrame.named("hinge")
+        with pytest.raises(KeyError, match="No constraint 'wheel'"):
+            ConstraintFrame.named("wheel")
+        assert ConstraintFrame.named("Hinge").angular_dof == ConstraintFrame.named("A").angular_dof
         with pytest.raises(ValueError, match="Pin-plane contact needs a GB frame, not BB"):
             ConstraintFrame.named("K", linear_type=LinearType.BB)
         assert ConstraintFrame.named("K", linear_type=LinearType.GB).linear_type is LinearType.GB

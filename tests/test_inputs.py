@@ -11,6 +11,7 @@ import pytest
 from contacts import simulate_contact
 
 import reframe_jax as rf
+from reframe_jax.identification import inputs
 from reframe_jax.identification.inputs import read_numbers, take_steps
 from reframe_jax.identification.options import take_scales
 from reframe_jax.simulation import synthetic
@@ -258,3 +259,12 @@ def test_a_folder_of_results_is_not_begun_with_input_that_is_refused(poses, tmp_
         with pytest.raises(ValueError, match=r"poses|windows"):
             rf.identify_many(windows, tmp_path / "out", dt=DT)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_gpu_takes_fewer_long_windows_at_a_time(monkeypatch):
+    """Otherwise, nine windows of 10,000 poses were 16,384 windows of this length, 34 GB."""
+    chunks = {"cpu": 32, "gpu": 16384}
+    assert inputs._chunk_size(chunks, 10_000) == 32
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    sizes = [inputs._chunk_size(chunks, length) for length in (5, 64, 65, 128, 10_000, 2**30)]
+    assert sizes == [16384, 16384, 8192, 8192, 64, 1]

@@ -10,7 +10,7 @@ import pytest
 from reframe_jax.geometry import kernel
 from reframe_jax.geometry.small import invert_symmetric, pick, solve_positive
 from reframe_jax.geometry.symmetric import INDEX_PAIRS
-from reframe_jax.model import crossed, search, steps
+from reframe_jax.model import amplitudes, crossed, rows, search, steps, table
 from reframe_jax.objectives.moments import MONOMIALS
 
 SCALES, PROBLEMS = 3, 4
@@ -60,7 +60,25 @@ def pair_problem(rng):
     return forms, np.full((SCALES, 1, PROBLEMS), 20.0), rng.normal(size=(3, 3, 1, PROBLEMS)) / 3, a, b
 
 
+def amplitude_problem(rng):
+    form, levers = moments(rng, 12), moments(rng, 3)[:, :, 0]
+    entry = table.entries_at(np.arange(2 * PROBLEMS).reshape(2, PROBLEMS) % len(table.ENTRIES))
+    frame = np.linalg.qr(rng.normal(size=(2, PROBLEMS, 3, 3)))[0].transpose(2, 3, 0, 1)
+    at = steps.Unknowns(frame, *rng.normal(size=(3, 3, 2, PROBLEMS))[:2] / 9, rng.normal(size=(2, PROBLEMS)))
+    at = at._replace(tilt=at.tilt[:2])
+    spectra = amplitudes.Spectra(
+        rng.uniform(5, 50, (SCALES, 1, PROBLEMS)),
+        rng.uniform(0.1, 1, (SCALES, 1, PROBLEMS)),
+        rng.uniform(0.1, 1, (SCALES, 1, PROBLEMS)),
+        rng.uniform(0, 0.1, (2, 1, PROBLEMS)),
+    )
+    forms = rows.Forms(form[:3, :3], form[3:9, 3:9], form[:3, 3:9])
+    sine = rng.uniform(0.5, 1, (1, PROBLEMS))
+    return forms, form[9:, 9:], at, entry, levers, sine, spectra
+
+
 CASES = {
+    "amplitudes": (amplitudes.amplitudes_of, 2, amplitude_problem),
     "tangent": (search._tangent_steps, 3, lambda r: (*search_problem(r), r.normal(size=(3, 1, 2, PROBLEMS)))),
     "newton": (search._newton_steps, 3, lambda r: (*search_problem(r), r.normal(size=(3, 1, 1, PROBLEMS)))),
     "fit": (steps.descend, 2, lambda r: (*fit_problem(r), np.int32(4))),

@@ -88,18 +88,20 @@ def assumed(text: str) -> str:
 
 
 @_argument
-def _label(text: str) -> str:
-    """Convert a letter or name to the letter of one of the twelve constraints of the paper."""
-    entry = constraint(text)
-    if entry.label not in CONSTRAINTS:
+def _letter(text: str) -> str:
+    """Convert a letter, name or common word to the letter of one of the twelve constraints of the paper."""
+    label = constraint(text).label
+    if label not in CONSTRAINTS:
         raise ValueError(f"expected a constraint from A to L, not {text!r}")
-    return entry.label
+    return label
 
 
-def add_constraint(command: argparse.ArgumentParser) -> None:
-    """Add the option ``--constraint``."""
-    text = "letter or name; reframe-jax constraints lists them"
-    command.add_argument("--constraint", type=_label, required=True, metavar="K", help=text)
+def add_constraint(command: argparse.ArgumentParser, on_arm: bool = False) -> None:
+    """Add the option ``--constraint``; an arm makes only the twelve constraints of the paper."""
+    text = "letter from A to L, or name" if on_arm else "letter or name"
+    kind = _letter if on_arm else _argument(lambda text: constraint(text).label)
+    text += "; reframe-jax constraints lists them"
+    command.add_argument("--constraint", type=kind, required=True, metavar="K", help=text)
 
 
 def add_seed(command: argparse.ArgumentParser) -> None:
@@ -132,7 +134,7 @@ def configure_jax(cache: bool) -> None:
 def add_demonstrations(command: argparse.ArgumentParser) -> None:
     """Add the options that ``demonstrate`` and ``reproduce`` have in common to a command."""
     add = command.add_argument
-    add_constraint(command)
+    add_constraint(command, on_arm=True)
     add("--robot", choices=["panda", "fr3"], default="panda", help="robot arm; the paper uses fr3 (panda)")
     add(
         "--imperfections",

@@ -7,7 +7,7 @@ import jax
 
 from reframe_jax.cli import arguments
 from reframe_jax.cli.printing import fail, print_result
-from reframe_jax.constraints.catalogue import CONSTRAINTS
+from reframe_jax.constraints.catalogue import constraint
 from reframe_jax.motion.checks import MIN_VELOCITIES
 from reframe_jax.recordings.recording import MOST_ROWS, RecordingError
 from reframe_jax.recordings.writing import save_recording
@@ -52,5 +52,5 @@ def run(options: argparse.Namespace) -> int:
         save_recording(options.out, simulation.times, simulation.poses)
     except RecordingError as error:
         return fail(error)
-    print_result(f"{options.out}: {CONSTRAINTS[options.constraint].name}, {len(simulation.times)} poses")
+    print_result(f"{options.out}: {constraint(options.constraint).name}, {len(simulation.times)} poses")
     return 0

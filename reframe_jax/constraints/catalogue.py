@@ -73,17 +73,28 @@ OTHER_CONSTRAINTS: dict[str, Constraint] = {
 }
 """Named constraints that are not in the paper, by label."""
 
+_WORDS = {
+    "A": "hinge revolute",
+    "B": "slide prismatic drawer",
+    "C": "cylinder cylindrical",
+    "D": "plane planar",
+}
+_WORDS |= {"K": "pin", "spherical": "ball sphere", "unconstrained": "free"}
+COMMON_WORDS = {word: label for label, words in _WORDS.items() for word in words.split()}
+"""Labels of constraints, by common words for them."""
+
 _ALL = CONSTRAINTS | OTHER_CONSTRAINTS
 
 
 def constraint(label: str) -> Constraint:
-    """Return the catalogue entry with a given label or name, in upper or lower case.
+    """Return the catalogue entry with a given label, name or common word, in upper or lower case.
 
     Raises:
         KeyError: for an unknown label or name; the message lists all labels and names.
     """
+    wanted = COMMON_WORDS.get(label.casefold(), label).casefold()
     for entry in _ALL.values():
-        if label.casefold() in (entry.label.casefold(), entry.name.casefold()):
+        if wanted in (entry.label.casefold(), entry.name.casefold()):
             return entry
     known = ", ".join(f"{entry.label} ({entry.name})" for entry in _ALL.values())
     raise KeyError(f"No constraint {label!r}. There are: {known}.")

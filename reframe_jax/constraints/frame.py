@@ -62,7 +62,7 @@ class ConstraintFrame:
         """Make a named constraint, by default with the geometry of the paper's simulations (section 5.3).
 
         Args:
-            label: letter or name in :data:`CONSTRAINTS` or :data:`OTHER_CONSTRAINTS`.
+            label: letter, name or common word of the catalogue, such as "A" or "hinge".
             linear_type: linear frame type, BB by default. Only constraints that all four types express (A to
                 D and :data:`OTHER_CONSTRAINTS`) allow a choice.
             rotvec: (..., 3) rad, orientation of both frames.

@@ -1,7 +1,8 @@
 """Write identifications as flat columns, one row per window, for data frames, Parquet and CSV.
 
-All three formats have the same columns, with units in the names. Axes are numbered as in ``LinearFrame``, in
-order of increasing speed. Rows of windows that failed contain NaN, 0, False or an empty text.
+All three formats have the same columns, with units in the names. Axes are numbered as in ``LinearFrame``:
+constrained axes first, then free axes, each by increasing amplitude. Rows of windows that failed contain NaN,
+0, False or an empty text.
 """
 
 import csv

@@ -31,7 +31,8 @@ def to_table(
     Args:
         found: the identification of one window, or of a batch.
         label: heading, such as the name of the recording.
-        windows: the part of the recording that each window covers; a list of one for a single window.
+        windows: the part of the recording that each window covers, as
+            :class:`reframe_jax.export.common.Window`; a list of one for a single window.
 
     Raises:
         ValueError: if the number of ``windows`` differs from the number in ``found``.

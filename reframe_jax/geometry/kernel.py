@@ -22,6 +22,7 @@ from jax.extend import core
 
 _T = TypeVar("_T")
 _THREADS = 128  # of a block
+_FIRST: dict[Any, float] = {jnp.add: 0.0, jnp.maximum: -np.inf}  # results without terms
 _in_kernel = ContextVar("in_kernel", default=False)  # whether a function is traced for a kernel
 
 
@@ -50,12 +51,12 @@ def _has_kernels() -> bool:
     return device.platform == "gpu" and float(getattr(device, "compute_capability", "0")) >= 9
 
 
-def added_up(function: Callable[..., _T], axes: tuple[Any, ...]) -> Callable[..., _T]:
+def added_up(function: Callable[..., _T], axes: tuple[Any, ...], joins: Any = jnp.add) -> Callable[..., _T]:
     """Make a function that adds up over an axis of some arguments one that a kernel computes term by term.
 
     ``axes`` has the axis of every argument, or a pytree of axes; -1 for arguments without it. The result for
-    one entry of the axis is a term of the sum. Without this loop, the code of a kernel would be long, and the
-    registers would not suffice.
+    one entry of the axis is a term of the sum, or of a maximum where ``joins``, a pytree as the result, has
+    jnp.maximum. Without this loop, the code of a kernel would be long, and the registers would not suffice.
     """
 
     @wraps(function)
@@ -71,8 +72,14 @@ def added_up(function: Callable[..., _T], axes: tuple[Any, ...]) -> Callable[...
             return function(*jax.tree.unflatten(tree, own))
 
         number = next(a.shape[axis] for a, axis in zip(leaves, along, strict=True) if axis >= 0)
-        nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(term, 0))
-        return lax.fori_loop(0, number, lambda k, found: jax.tree.map(jnp.add, found, term(k)), nothing)
+        shapes = jax.eval_shape(term, 0)
+        each = jax.tree.broadcast(joins, shapes)
+        nothing = jax.tree.map(lambda a, join: jnp.full(a.shape, _FIRST[join], a.dtype), shapes, each)
+
+        def add(k: Any, found: Any) -> Any:
+            return jax.tree.map(lambda join, one, other: join(one, other), each, found, term(k))
+
+        return lax.fori_loop(0, number, add, nothing)
 
     return computed
 
@@ -141,6 +148,11 @@ class _Load:
     load: Callable[[tuple[Any, ...]], Any]
     index: tuple[Any, ...]
     dtype: Any
+
+    def moved(self, other: "_Load", place: Any) -> "_Load":
+        """Return the component whose index is ``place`` where those of two components differ."""
+        pairs = zip(self.index, other.index, strict=True)
+        return replace(self, index=tuple(i if i == j else place for i, j in pairs))
 
 
 def components(shape: Any, load: Callable[[tuple[Any, ...]], Any]) -> np.ndarray:
@@ -220,15 +232,15 @@ class Components:
             return self.run(params["jaxpr" if name == "jit" else "call_jaxpr"], given)
         if name in ("while", "scan"):
             return self._loop(equation, given)
-        if name == "reduce_or":
+        if name in _REDUCED:
             entries = np.split(given[0], given[0].shape[params["axes"][0]], params["axes"][0])
-            either = partial(_each, partial(self._elementwise, lax.or_p, {}, [bool, bool]))
-            return [reduce(either, entries).reshape(result.shape)]
+            both = partial(_each, partial(self._elementwise, _REDUCED[name], {}, [bool, bool]))
+            return [reduce(both, entries).reshape(result.shape)]
         if name == "argmin":
             found = self._argmin(given[0], params["axes"][0], dtypes[0], result.dtype)
             return [found.reshape(result.shape)]
         if name == "dynamic_slice":
-            return [self._slice(params["slice_sizes"], *given)]
+            return [self._slice(params["slice_sizes"], dtypes, *given)]
         if name == "gather" and given[1].dtype == object:
             every = range(given[0].shape[params["dimension_numbers"].start_index_map[0]])
             entries = [_gather(params, given[0], np.full(given[1].shape, k)) for k in every]
@@ -281,20 +293,18 @@ class Components:
             best, found = _each(choose[0], here, best, entry), _each(choose[1], here, found, k)
         return found
 
-    def _slice(self, sizes: tuple[int, ...], value: np.ndarray, *starts: np.ndarray) -> np.ndarray:
-        """Cut one entry of an axis of an argument, at an index that all problems share."""
+    def _slice(
+        self, sizes: tuple[int, ...], dtypes: list[Any], value: np.ndarray, *starts: np.ndarray
+    ) -> np.ndarray:
+        """Cut one entry of an axis of a value, at an index that all problems share."""
         if sizes == value.shape:
             return value
         (axis,) = (k for k, size in enumerate(sizes) if size != value.shape[k])
+        entries = np.split(value, value.shape[axis], axis)
+        if not _is_axis(entries):
+            return self._choose(entries, starts[axis], *dtypes[1::-1])
         start = self.loaded(starts[axis].item())
-
-        def moved(one: _Load, other: _Load) -> _Load:
-            changed = [i != j for i, j in zip(one.index, other.index, strict=True)]
-            return replace(
-                one, index=tuple(start if c else i for c, i in zip(changed, one.index, strict=True))
-            )
-
-        return _each(moved, value.take([0], axis), value.take([1], axis))
+        return _each(lambda one, other: one.moved(other, start), *entries[:2])
 
     def _loop(self, equation: Any, given: list[np.ndarray]) -> list[np.ndarray]:
         """Run a loop; its values are carried one by one."""
@@ -368,6 +378,14 @@ class _Kernel(Components):
         return plgpu.layout_cast(vector, plgpu.Layout.WG_STRIDED(vector.shape, vec_size=1))
 
 
+def _is_axis(entries: list[np.ndarray]) -> bool:
+    """Return whether entries are those of an axis of an argument, in their order."""
+    if not all(isinstance(component, _Load) for entry in entries for component in entry.flat):
+        return False
+    one, other = (entry.flat[0] for entry in entries[:2])
+    return all(entry.flat[0].index == one.moved(other, k).index for k, entry in enumerate(entries))
+
+
 def _settle(value: np.ndarray, dtype: Any) -> np.ndarray:
     """Return an array of numbers instead of components, if all of them are numbers."""
     known = value.dtype == object and not any(isinstance(c, jax.Array | _Load) for c in value.flat)
@@ -423,5 +441,7 @@ _MOVES: dict[str, Callable[..., Any]] = {
 
 _OF_NUMBERS = {"add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative}
 """Primitives for numbers; others are those of JAX, which are slow to compile."""
+
+_REDUCED = {"reduce_or": lax.or_p, "reduce_and": lax.and_p}
 
 _NEUTRAL = {"add": 0, "sub": 0, "mul": 1, "div": 1}  # second operands that change nothing

@@ -192,14 +192,9 @@ def diagonalize(
     The axes V minimize sum_s w_s sum_i log (V' C_s V)_ii (Flury & Gautschi 1986). For a single covariance,
     they are its eigenvectors. The function starts at the coordinate axes and does not sort the result.
 
-    Args:
-        forms: (3, 3, S, ...) positive definite matrices C_s.
-        weights: (S, ...) weights w_s; 1 by default.
-        together: (3, 3, ...) bool, pairs of axes that may be rotated into each other; all by default.
-        sweeps: number of rounds over the three pairs of axes.
-
-    Returns:
-        (3, 3, ...), columns are the axes.
+    Axes are columns of (3, 3, ...). The forms C_s are (3, 3, S, ...), and the weights w_s (S, ...) are 1 by
+    default. Only pairs of axes ``together`` (3, 3, ...) are rotated into each other, by default all, in
+    ``sweeps`` rounds over the three pairs.
     """
     tiny = jnp.finfo(forms.dtype).tiny ** 0.5
     axes = jnp.broadcast_to(unit_matrix(forms.dtype, forms.ndim - 3), (3, 3, *forms.shape[3:]))

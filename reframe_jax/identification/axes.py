@@ -48,12 +48,12 @@ class Frames(NamedTuple):
 
 
 def frames_of_entry(
-    winner: Winner, bodies: Array, types: Types, live: Moments, total: Array, step: Array
+    winner: Winner, bodies: Array, types: Types, used: Moments, whole: Array, step: Array
 ) -> Frames:
     """Return the frames of the reported entry of one window, whose axes in both bodies are (2, 3, 3).
 
-    RMS velocities are those of the moments ``live`` of the used scales, for steps () of this duration, s.
-    Amplitudes are those of the moments ``total`` (27, 27) over the whole recording.
+    RMS velocities are those of the moments ``used`` of the used scales, for steps () of this duration, s.
+    Amplitudes are those of the moments ``whole`` (27, 27) over the recording.
     """
     entry = entries_at(jnp.maximum(winner.code, 0))
     parameters = winner.parameters._replace(pitch=jnp.zeros_like(winner.parameters.pitch))
@@ -70,52 +70,52 @@ def frames_of_entry(
         rows = axes.T @ jnp.asarray(ROWS[TURN_KINDS[body], :, 0], axes.dtype)
         of_angular.append((axes, rows, turns_free[:, None] == turns_free[None, :], turns_free))
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), of_linear, *of_angular)
-    every: Rows = jax.vmap(partial(_principal_rows, total=total))(*stacked)
+    every: Rows = jax.vmap(partial(_principal_rows, whole=whole))(*stacked)
     linear, angular = Rows(*(leaf[0] for leaf in every)), Rows(*(leaf[1:] for leaf in every))
     # ---- the body in which the rotation is reported
-    in_plane = entry.tied & entry.apart & ~free[5] & _turns_less_in_ground(bodies[0], weights, total)
+    in_plane = entry.tied & entry.apart & ~free[5] & _turns_less_in_ground(bodies[0], weights, whole)
     in_ground = in_plane | jnp.asarray(_IN_GROUND)[jnp.maximum(winner.code, 0)]
     of_turns = jnp.where(in_ground, int(AngularType.G), int(AngularType.B))
     angular_type = jnp.where(turns == 2, jnp.argmin(types.angular_norm), of_turns).astype(jnp.int32)
-    speeds = partial(rms_velocities, live=live, step=step)
+    speeds = partial(rms_velocities, used=used, step=step)
     return Frames(angular_type, angular, jax.vmap(speeds)(angular.weights), linear, speeds(linear.weights))
 
 
 def frames_of_types(
-    angular_type: Array, winner: Winner, types: Types, dof: tuple[Array, Array], total: Array
+    angular_type: Array, winner: Winner, types: Types, dof: tuple[Array, Array], whole: Array
 ) -> Frames:
     """Return the best frames of the reported types of one window.
 
     ``dof`` are the degrees of freedom of all angular types (2, 3) and linear types (4, 3); for the other
     arguments, see :func:`frames_of_entry`.
     """
-    kind, rows = winner.kind, jnp.asarray(ROWS, total.dtype)
-    along = partial(_rows_along, total=total)
+    kind, rows = winner.kind, jnp.asarray(ROWS, whole.dtype)
+    along = partial(_rows_along, whole=whole)
     angular = jax.vmap(along)(types.angular_axes, rows[TURN_KINDS, :, 0], dof[0])
-    point = jnp.concatenate([jnp.ones(1, total.dtype), winner.parameters.origin])
+    point = jnp.concatenate([jnp.ones(1, whole.dtype), winner.parameters.origin])
     of_point = jnp.einsum("iaf,a->if", rows[LINEAR_KINDS][kind], point)
     linear = along(types.linear_axes[kind], of_point, dof[1][kind])
     return Frames(angular_type, angular, types.angular_rms, linear, types.linear_rms[kind])
 
 
-def _principal_rows(axes: Array, weights: Array, together: Array, free: Array, total: Array) -> Rows:
+def _principal_rows(axes: Array, weights: Array, together: Array, free: Array, whole: Array) -> Rows:
     """Rotate axes to the principal axes of their block, sort them, and fix their signs.
 
     Constrained axes come first, then free axes, both in ascending order of amplitude. A block is a set of
     axes that may be rotated into each other without a change of the constraint.
     """
-    turn = _eigenvectors(jnp.where(together, weights @ total @ weights.T, 0), together)
+    turn = _eigenvectors(jnp.where(together, weights @ whole @ weights.T, 0), together)
     axes, weights = axes @ turn, turn.T @ weights
-    square = jnp.einsum("if,fg,ig->i", weights, total, weights)
+    square = jnp.einsum("if,fg,ig->i", weights, whole, weights)
     order = jnp.argsort(jax.lax.stop_gradient(square / jnp.max(square)) + 2.0 * free)
     axes, weights, square, free = axes[:, order], weights[order], square[order], free[order]
     return Rows(fix_signs(axes), weights, square, free.astype(jnp.int32))
 
 
-def _rows_along(axes: Array, rows: Array, dof: Array, total: Array) -> Rows:
+def _rows_along(axes: Array, rows: Array, dof: Array, whole: Array) -> Rows:
     """Coordinates along given axes; ``rows`` (3, 27) are the weights along the axes of the body."""
     weights = axes.T @ rows
-    return Rows(axes, weights, jnp.einsum("if,fg,ig->i", weights, total, weights), dof)
+    return Rows(axes, weights, jnp.einsum("if,fg,ig->i", weights, whole, weights), dof)
 
 
 def _eigenvectors(covariance: Array, together: Array) -> Array:
@@ -130,16 +130,16 @@ def _eigenvectors(covariance: Array, together: Array) -> Array:
     return turn + turn @ change
 
 
-def _turns_less_in_ground(axes: Array, weights: Array, total: Array) -> Array:
+def _turns_less_in_ground(axes: Array, weights: Array, whole: Array) -> Array:
     """Whether the positions determine the axis of a planar motion better than the rotations do, ().
 
     The uncertainty of an axis is the ratio of a residual to the motion that determines the axis. For
     rotations, this is the constrained rotation over the free rotation. For positions, it is the displacement
     along the axis over the smaller amplitude in the plane.
     """
-    square = jnp.einsum("if,fg,ig->i", weights, total, weights)
+    square = jnp.einsum("if,fg,ig->i", weights, whole, weights)
     held_turns, turn, along = square[0] + square[1], square[2], square[5]
-    plane = axes[:, :2].T @ total[z.POSITION, z.POSITION] @ axes[:, :2]
+    plane = axes[:, :2].T @ whole[z.POSITION, z.POSITION] @ axes[:, :2]
     half = jnp.trace(plane) / 2
     det = plane[0, 0] * plane[1, 1] - plane[0, 1] * plane[1, 0]
     weaker = half - jnp.sqrt(jnp.maximum(half * half - det, 0))

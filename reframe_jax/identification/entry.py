@@ -13,11 +13,12 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import COMPILER_OPTIONS, inside_trace, narrow
+from reframe_jax.identification import pipeline
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.inputs import run_in_pieces, run_in_trace, take_poses, take_steps
 from reframe_jax.identification.options import Options, Scales, check_options
-from reframe_jax.identification.pipeline import CHUNK, Method, identify_by_thresholds, identify_windows
+from reframe_jax.identification.pipeline import CHUNK, Arrays, Method
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.kinematics import Discretization
@@ -121,9 +122,10 @@ def identify_unchecked(
         steps = take_steps(array, times, dt).astype(dtype)
         level = None if thresholds is None else jax.tree.map(lambda t: jnp.asarray(t, dtype), thresholds)
         reach = np.asarray(np.nan, dtype) if reach is None else jnp.asarray(reach, dtype)
-        arrays = reach, level, key, allowed, samples
+        arrays = Arrays(reach, level, key, allowed, samples)
         method = Method(bool(samples == 1), exponent, discretization, solver)
-        program = identify_windows if thresholds is None else identify_by_thresholds
+        by_probability = thresholds is None
+        program = pipeline.identify_windows if by_probability else pipeline.identify_by_thresholds
         run = partial(program, arrays, method=method)
         if inside_a_trace:
             found = run_in_trace(run, array, steps, None, CHUNK)
@@ -166,7 +168,7 @@ def _is_distributed(poses: Any) -> bool:
     return over_mesh or (sharding is not None and len(sharding.device_set) > 1)
 
 
-def _on_mesh(poses: jax.Array, steps: Any, options: Any, method: Method) -> Identification:
+def _on_mesh(poses: jax.Array, steps: Any, arrays: Arrays, method: Method) -> Identification:
     """Identify windows on the devices that hold them, without communication between devices."""
     sharding = poses.sharding
     if not isinstance(sharding, NamedSharding) or any(axis is not None for axis in sharding.spec[1:]):
@@ -178,15 +180,17 @@ def _on_mesh(poses: jax.Array, steps: Any, options: Any, method: Method) -> Iden
     own = steps.ndim > 1
     if own:
         steps = jax.device_put(steps, NamedSharding(sharding.mesh, PartitionSpec(axis)))
-    return _program_for_mesh(sharding.mesh, axis, own, method)(poses, steps, options)
+    return _program_for_mesh(sharding.mesh, axis, own, method)(poses, steps, arrays)
 
 
 @cache
 def _program_for_mesh(mesh: Mesh, axis: Any, own_steps: bool, method: Method) -> Any:
     """Compile ``identify_windows`` for windows that are distributed over a mesh of devices."""
 
-    def of_device(poses: jax.Array, steps: jax.Array, options: Any) -> Any:
-        return run_in_trace(partial(identify_windows, options, method=method), poses, steps, None, CHUNK)
+    def of_device(poses: jax.Array, steps: jax.Array, arrays: Arrays) -> Any:
+        return run_in_trace(
+            partial(pipeline.identify_windows, arrays, method=method), poses, steps, None, CHUNK
+        )
 
     whole, part = PartitionSpec(), PartitionSpec(axis)
     specs = part, part if own_steps else whole, whole

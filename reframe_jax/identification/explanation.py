@@ -23,7 +23,7 @@ _LIKE = {
     ),
     "Planar contour rolling": (
         "The body moves in a plane like a wheel on a fixed rail: "
-        "the part of the body at one fixed place always moves along the same line"
+        "whatever point of it is at one fixed place moves along one fixed line"
     ),
     "Cart on a curved surface": (
         "The body moves like a cart on a curved floor: "
@@ -31,17 +31,19 @@ _LIKE = {
     ),
     "Contour rolling": (
         "The body moves like a pipe that rolls over a fixed edge: "
-        "the part of the body at one fixed place always moves along the same line"
+        "whatever point of it is at one fixed place moves along one fixed line"
     ),
     "Planar pin-plane contact": (
         "The body moves in a plane like a pin in a slot: one point of it stays on a straight line"
     ),
     "Planar plane-pin contact": (
-        "The body moves in a plane like a slot on a pin: a straight line of it stays on one fixed point"
+        "The body moves in a plane like a slot on a pin: "
+        "a straight line of it always passes through one fixed point"
     ),
     "Pin-plane contact": "The body moves like a pen on paper: its tip stays on a plane, and it turns freely",
     "Plane-pin contact": (
-        "The body moves like a tray on a fingertip: a plane of it stays on a fixed point, and it turns freely"
+        "The body moves like a tray on a fingertip: "
+        "a plane of it always passes through one fixed point, and it turns freely"
     ),
     "Spherical joint": "The body moves like a ball in its socket: it turns in every way about one point",
     "Universal joint": "The body turns about one point, about two axes only, and does not slide",
@@ -132,7 +134,7 @@ def _largest(covariance: Any) -> float:
 
 
 def _within(size: float, unit: str) -> str:
-    return f", give or take {size:.2g} {unit}"
+    return f", ± {size:.2g} {unit} (95 %)"
 
 
 def _where(found: Any, spread: Spread | None) -> str:

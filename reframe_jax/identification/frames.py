@@ -29,7 +29,7 @@ class PoseNoise:
 
 @dataclass(frozen=True)
 class _Axes:
-    """What angular and linear frames have in common."""
+    """Fields that angular and linear frames have in common."""
 
     type_code: jax.Array
     rotvec: jax.Array

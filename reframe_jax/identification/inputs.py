@@ -184,7 +184,7 @@ def run_in_pieces(
         singles = jax.device_get([run_rows(row) for row in range(max(count, 1))])
         found = jax.tree.map(lambda *leaves: np.stack(leaves)[:count], *singles)
     else:
-        chunk = chunks.get(jax.default_backend(), chunks["cpu"])
+        chunk = _chunk_size(chunks, padded)
         found = _run_pieces(run_rows, count, chunk, chunk * max(1, _PIECE // (chunk * padded)))
     return found if len(batch) == 1 else jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
 
@@ -233,13 +233,21 @@ def _join(parts: list[Any], numbers: tuple[int, ...], xp: Any = jnp) -> Any:
 _join_on_gpu = jax.jit(_join, static_argnums=1)  # eagerly, every shape would be a program; NumPy has none
 
 
+def _chunk_size(chunks: dict[str, int], length: int) -> int:
+    """Return the number of windows in a chunk; on a GPU, there are fewer of more than ``_SHORT`` poses."""
+    if (backend := jax.default_backend()) not in chunks or backend == "cpu":
+        return chunks["cpu"]
+    return max(1, chunks[backend] * _SHORT // max(_SHORT, 1 << (length - 1).bit_length()))
+
+
 def in_chunks(function: Callable[..., Any], chunks: dict[str, int]) -> Callable[..., Any]:
     """Make a function of N windows one of windows with any leading axes, one chunk of windows after another.
 
-    ``chunks`` has the number of windows in a chunk, by the name of the backend. Windows are a pytree of
-    arrays with the same leading axes; the first array has no other axes. The results have these axes too. The
-    second argument is the number of windows to compute, or None for all: results of the chunks after them are
-    zeros, without a reverse derivative. Further arguments are those of ``function``.
+    ``chunks`` has the number of windows in a chunk, by the name of the backend; on a GPU, chunks of windows
+    of more than 64 poses are smaller. Windows are a pytree of arrays with the same leading axes; the first
+    array has no other axes. The results have these axes too. The second argument is the number of windows to
+    compute, or None for all: results of the chunks after them are zeros, without a reverse derivative.
+    Further arguments are those of ``function``.
     """
 
     @wraps(function)
@@ -248,7 +256,8 @@ def in_chunks(function: Callable[..., Any], chunks: dict[str, int]) -> Callable[
             return function(windows, *others, **static)
 
         batch = jax.tree.leaves(windows)[0].shape
-        chunk, total = chunks.get(jax.default_backend(), chunks["cpu"]), math.prod(batch)
+        longest = max(size for leaf in jax.tree.leaves(windows) for size in (1, *leaf.shape[len(batch) :]))
+        chunk, total = _chunk_size(chunks, longest), math.prod(batch)
         parts = -(-total // chunk)
         windows = jax.tree.map(lambda a: a.reshape(total, *a.shape[len(batch) :]), windows)
         if parts <= 1:

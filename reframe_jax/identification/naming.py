@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS, Constraint
+from reframe_jax.constraints.catalogue import COMMON_WORDS, CONSTRAINTS, OTHER_CONSTRAINTS, Constraint
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.model.table import ENTRIES
 
@@ -49,33 +49,16 @@ def codes_of(name: str) -> tuple[int, ...]:
     Raises:
         ValueError: for an unknown name; the message lists the labels and the common words.
     """
-    wanted = _COMMON.get(name.casefold(), name).casefold()
+    wanted = COMMON_WORDS.get(name.casefold(), name).casefold()
     codes = tuple(
         i for i, entry in enumerate(ENTRIES) if wanted in (entry.label.casefold(), name_of(i).casefold())
     )
     if codes:
         return codes
-    words = ", ".join([*_CATALOGUE, *_COMMON])
+    words = ", ".join([*_CATALOGUE, *COMMON_WORDS])
     raise ValueError(
         f"No constraint {name!r}; choose from {words}, or a name that reframe-jax constraints lists."
     )
-
-
-_COMMON = {
-    "hinge": "A",
-    "revolute": "A",
-    "slide": "B",
-    "prismatic": "B",
-    "drawer": "B",
-    "cylinder": "C",
-    "cylindrical": "C",
-    "plane": "D",
-    "planar": "D",
-    "pin": "K",
-    "ball": "spherical",
-    "sphere": "spherical",
-    "free": "unconstrained",
-}
 
 
 def _class_codes() -> np.ndarray:

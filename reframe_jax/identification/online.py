@@ -1,20 +1,17 @@
 """Identify the constraint of a stream of poses while the robot moves."""
 
 from operator import index
+from typing import Unpack
 
-import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify_unchecked
 from reframe_jax.identification.inputs import read_number, read_numbers
-from reframe_jax.identification.options import Options, Scales, check_options
+from reframe_jax.identification.options import IdentifyOptions, Options, check_options
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import MIN_VELOCITIES, Status, check_step, is_rigid
-from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.norms import check_exponent
-from reframe_jax.solvers import Solver
 
 _PATIENCE = 3  # number of consecutive times before the last accepted time, after which a new window begins
 
@@ -29,8 +26,7 @@ class OnlineIdentifier:
     Args:
         length: number of poses in the window, K + 1; at least 5.
         dt: time between two poses, s, for streams without times.
-        scales, assume, norm, discretization, thresholds, bounds, solver, key: options of
-            :func:`reframe_jax.identify`.
+        options: options of :func:`reframe_jax.identify`.
 
     Raises:
         ValueError: if the window is too short, if ``dt`` is not positive, or for another invalid option.
@@ -41,14 +37,7 @@ class OnlineIdentifier:
         length: int,
         *,
         dt: float | None = None,
-        scales: Scales = "auto",
-        assume: str | None = None,
-        norm: float = 0.0,
-        discretization: Discretization = "chord",
-        thresholds: Thresholds | None = None,
-        bounds: ArrayLike | None = None,
-        solver: Solver | None = None,
-        key: jax.Array | None = None,
+        **options: Unpack[IdentifyOptions],
     ) -> None:
         try:
             length = index(length)
@@ -60,10 +49,10 @@ class OnlineIdentifier:
             raise ValueError(f"dt must be a positive number of seconds, not {dt}.")
         if dt is not None:
             check_step(dt)
-        options = Options(scales, assume, norm, discretization, thresholds, bounds, solver, key)
-        check_options(options, length)
+        given = Options(**options)
+        check_options(given, length)
         self._dt = dt
-        self._options = options._replace(norm=check_exponent(norm))
+        self._options = given._replace(norm=check_exponent(given.norm))
         # poses are written twice, so that the window is always one slice
         self._poses = np.zeros((2 * length, 4, 4))
         self._times = np.zeros(2 * length)

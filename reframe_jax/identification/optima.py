@@ -9,7 +9,7 @@ import numpy as np
 
 from reframe_jax.geometry.symmetric import ascending_eigh
 from reframe_jax.model.moments import Moments
-from reframe_jax.model.solve import Solved
+from reframe_jax.model.solve import Searched
 from reframe_jax.model.table import KINDS, LINEAR_KINDS, ROWS
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean
@@ -30,44 +30,44 @@ class Types(NamedTuple):
     linear_norm: Array  # (4,) m/s
 
 
-def smallest_scale(live: Moments) -> Array:
+def smallest_scale(used: Moments) -> Array:
     """Return which of the S scales is the smallest scale that a window uses, (S,) bool."""
-    used = live.details > 0
-    return used & (jnp.cumsum(used) == 1)
+    here = used.details > 0
+    return here & (jnp.cumsum(here) == 1)
 
 
-def rms_velocities(weights: Array, live: Moments, step: Array) -> Array:
+def rms_velocities(weights: Array, used: Moments, step: Array) -> Array:
     """Compute the RMS velocities (3,), m/s or rad/s, at the smallest scale that the window uses.
 
     The weights (3, 27) are those of the features in each coordinate; ``step`` is the mean step, s.
     """
-    smallest = smallest_scale(live)
-    products = jnp.sum(jnp.where(smallest[:, None, None], live.products, 0), axis=0)
+    smallest = smallest_scale(used)
+    products = jnp.sum(jnp.where(smallest[:, None, None], used.products, 0), axis=0)
     square = jnp.einsum("if,fg,ig->i", weights, products, weights)
-    return jnp.sqrt(jnp.maximum(square, 1e-30)) / (step * jnp.sum(jnp.where(smallest, live.width, 0)))
+    return jnp.sqrt(jnp.maximum(square, 1e-30)) / (step * jnp.sum(jnp.where(smallest, used.width, 0)))
 
 
-def _log_speed_norm(value: Array, live: Moments, step: Array) -> Array:
+def _log_speed_norm(value: Array, used: Moments, step: Array) -> Array:
     """Convert sums (...) of log variances over axes and scales to geometric means of RMS velocities."""
-    spans = jnp.sum(live.details * jnp.log(live.width * step))
-    return jnp.exp((value / 2 / 3 - spans) / jnp.sum(live.details))
+    spans = jnp.sum(used.details * jnp.log(used.width * step))
+    return jnp.exp((value / 2 / 3 - spans) / jnp.sum(used.details))
 
 
-def types_over_scales(solved: Solved, live: Moments, step: Array) -> Types:
+def types_over_scales(searched: Searched, used: Moments, step: Array) -> Types:
     """Compute the best frames of one window over its time scales; ``step`` is the mean step, s."""
-    angular, linear, dtype = solved.angular_axes, solved.linear_axes, live.products.dtype
-    points = jnp.concatenate([jnp.ones((4, 1), dtype), solved.origins], axis=1)
+    angular, linear, dtype = searched.angular_axes, searched.linear_axes, used.products.dtype
+    points = jnp.concatenate([jnp.ones((4, 1), dtype), searched.origins], axis=1)
     rows = jnp.einsum("tiaf,ta->tif", jnp.asarray(ROWS[LINEAR_KINDS], dtype), points)
     of_linear = jnp.einsum("tai,taf->tif", linear, rows)
     of_angular = jnp.einsum("tai,taf->tif", angular, jnp.asarray(ROWS[TURN_KINDS][:, :, 0], dtype))
-    speeds = jax.vmap(partial(rms_velocities, live=live, step=step))
-    spread = jnp.einsum("tif,sfg,tig->tsi", of_angular, live.products, of_angular)
-    value = jnp.sum(live.details[:, None] * jnp.log(spread + 1e-30), axis=(1, 2))
-    norm = partial(_log_speed_norm, live=live, step=step)
-    return Types(angular, linear, speeds(of_angular), speeds(of_linear), norm(value), norm(solved.norm))
+    speeds = jax.vmap(partial(rms_velocities, used=used, step=step))
+    spread = jnp.einsum("tif,sfg,tig->tsi", of_angular, used.products, of_angular)
+    value = jnp.sum(used.details[:, None] * jnp.log(spread + 1e-30), axis=(1, 2))
+    norm = partial(_log_speed_norm, used=used, step=step)
+    return Types(angular, linear, speeds(of_angular), speeds(of_linear), norm(value), norm(searched.norm))
 
 
-def types_of_steps(moments: tuple[Array, Array], solved: Solved, exponent: float) -> Types:
+def types_of_steps(moments: tuple[Array, Array], searched: Searched, exponent: float) -> Types:
     """Compute the best frames of N windows by the paper's norm of the velocities of single steps.
 
     The moments are those of :func:`.step_moments`; of the result of the model, only the origins are used. The
@@ -75,7 +75,7 @@ def types_of_steps(moments: tuple[Array, Array], solved: Solved, exponent: float
     """
     angular, linear = moments
     zero = jnp.zeros_like(angular[0, 0])
-    x = jnp.moveaxis(solved.origins, -1, 0)
+    x = jnp.moveaxis(searched.origins, -1, 0)
     of_angular = covariance_at(angular, (zero, zero, zero))
     of_linear = covariance_at(linear, (x[0], x[1], x[2]))
     every = [jnp.concatenate(pair, axis=1) for pair in zip(of_angular, of_linear, strict=True)]

@@ -30,7 +30,7 @@ class Prepared(NamedTuple):
     # ---- the rest is without outliers and repeated poses
     section: Array | None  # (N, P) int, sections between gaps; None for chosen scales
     steps: Array  # (N, K) durations of the steps, s
-    count: Array  # type: ignore[assignment]  # (N,) number of poses; the name hides tuple.count
+    length: Array  # (N,) number of poses
     noise: Array  # (N, 2) m and rad, standard deviation of the white noise of every component
     features: Features  # of the poses; see :mod:`reframe_jax.model`
     moments: Moments  # second moments of the features at all scales

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +27,7 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.identification.winner import KIND_OF_ENTRY, Winner, winner_by_thresholds, winner_of_window
 from reframe_jax.model.fit import Data, ground_axes
 from reframe_jax.model.moments import Moments
-from reframe_jax.model.solve import Solved
+from reframe_jax.model.solve import Compared, ScaleWeights, Searched
 from reframe_jax.model.table import ENTRIES, entries_at
 from reframe_jax.motion.checks import Status
 
@@ -42,10 +43,10 @@ _NORMAL = np.array([entry.start == "normal" for entry in ENTRIES])
 
 
 def report_windows(
-    window: Prepared,
-    live: Moments,
-    scale_weight: Array,
-    solved: Solved,
+    prepared: Prepared,
+    weights: ScaleWeights,
+    searched: Searched,
+    compared: Compared | None,
     thresholds: Thresholds | None,
     exponent: float,
     of_steps: tuple[Array, Array] | None,
@@ -53,32 +54,30 @@ def report_windows(
 ) -> Identification:
     """Build the identification of N windows.
 
-    Args:
-        window: prepared windows; the result is differentiable with respect to their features and moments.
-        live: moments of the windows, with 0 details at scales that the search did not use.
-        scale_weight: (N, S) weights of the scales in the amplitudes over the recording.
-        solved: result of the model, without derivatives.
-        thresholds: RMS velocities above which an axis is free; None if probabilities decide.
-        exponent: exponent of the power mean over the axes, for the norms.
-        of_steps: moments of the velocities of single steps, if RMS velocities are those of single steps.
-        assumed: () bool, whether the caller assumes a constraint.
+    The result is differentiable with respect to the features and moments of the prepared windows. Without a
+    comparison of entries, thresholds of RMS velocities decide which axes are free. The norms are power means
+    over the axes, with the exponent. ``of_steps`` has moments of the velocities of single steps, if RMS
+    velocities are those of single steps; ``assumed`` () bool, whether the caller assumes a constraint.
     """
-    own = jnp.arange(window.steps.shape[1]) < window.count[:, None] - 1
-    step = jnp.sum(window.steps * own, axis=1) / (window.count - 1).astype(window.steps.dtype)
+    own = jnp.arange(prepared.steps.shape[1]) < prepared.length[:, None] - 1
+    step = jnp.sum(prepared.steps * own, axis=1) / (prepared.length - 1).astype(prepared.steps.dtype)
+    used = prepared.moments._replace(details=weights.search)
     single_steps = of_steps is not None
     if of_steps is not None:
-        types = types_of_steps(of_steps, solved, exponent)
+        types = types_of_steps(of_steps, searched, exponent)
     else:
-        types = jax.vmap(types_over_scales)(solved, live, step)
+        types = jax.vmap(types_over_scales)(searched, used, step)
     of_window = partial(_report_window, thresholds=thresholds, single_steps=single_steps, assumed=assumed)
-    return _with_status(jax.vmap(of_window)(window, live, scale_weight, solved, types, step), window)
+    found = jax.vmap(of_window)(prepared, used, weights.amplitude, searched, compared, types, step)
+    return _with_status(found, prepared)
 
 
 def _report_window(
     window: Prepared,
-    live: Moments,
+    used: Moments,
     scale_weight: Array,
-    solved: Solved,
+    searched: Searched,
+    compared: Compared | None,
     types: Types,
     step: Array,
     *,
@@ -88,18 +87,20 @@ def _report_window(
 ) -> tuple[Identification, Array, Array]:
     """Return the identification of one window, whether its origin is on the bounds, and its warning codes."""
     mean = window.features.mean_rotation
-    total = jnp.einsum("s,sfg->fg", scale_weight, live.products)
+    whole = jnp.einsum("s,sfg->fg", scale_weight, used.products)
     axes = jax.vmap(fix_signs)(jnp.concatenate([types.angular_axes, types.linear_axes]))
     types = types._replace(angular_axes=axes[:2], linear_axes=axes[2:])
     if thresholds is None:
-        winner = winner_of_window(solved, Data(live.products, live.details, mean, window.box))
+        winner = winner_of_window(
+            searched, cast(Compared, compared), Data(used.products, used.details, mean, window.box)
+        )
     else:
         angular_dof = degrees_of_freedom(types.angular_rms, thresholds.angular)
         linear_dof = degrees_of_freedom(types.linear_rms, thresholds.linear)
-        winner = winner_by_thresholds(types, solved, angular_dof, linear_dof)
+        winner = winner_by_thresholds(types, searched, angular_dof, linear_dof)
     kind, fitted = winner.kind, winner.parameters
     bodies = jnp.stack([ground_axes(fitted, mean), fitted.axes])  # by AngularType
-    frames = frames_of_entry(winner, bodies, types, live, total, step)
+    frames = frames_of_entry(winner, bodies, types, used, whole, step)
     if thresholds is None:
         angular_dof = _last_free(jnp.sum(frames.angular.dof[0]), 2)
         linear_dof = _last_free(jnp.sum(frames.linear.dof), 4)
@@ -108,12 +109,12 @@ def _report_window(
         # as in the paper, the reported frame is the best frame of its type
         best = jnp.argmin(types.angular_norm).astype(jnp.int32)
         a = frames.angular_type if thresholds is None else best
-        frames = frames_of_types(a, winner, types, (angular_dof, linear_dof), total)
+        frames = frames_of_types(a, winner, types, (angular_dof, linear_dof), whole)
     position = fitted.origin - any_position @ fitted.origin
     centre = jnp.where((np.array(POSITION_BODIES) == int(AngularType.G))[:, None], window.centre, 0)
-    positions = solved.origins.at[kind].set(position) + centre
+    positions = searched.origins.at[kind].set(position) + centre
     candidates = _candidates(frames, types, kind, linear_dof, positions)
-    velocities = window.count - 1
+    velocities = window.length - 1
     a, linear, known = frames.angular_type, candidates.linear, entries_at(jnp.maximum(winner.code, 0))
     angular_rows = jax.tree.map(lambda leaf: leaf[a], frames.angular)
     turns = jnp.sum(angular_rows.dof)
@@ -135,7 +136,7 @@ def _report_window(
         pitch=jnp.where(known.pitch & (winner.code >= 0), fitted.pitch, jnp.nan),
         universal_axes=jnp.where(crossed, jnp.stack([bodies[0][:, 2], bodies[1][:, 0]]), jnp.nan),
         noise=PoseNoise(position=window.noise[0], rotation=window.noise[1]),
-        scale=jnp.sum(jnp.where(smallest_scale(live), live.width, 0)).astype(jnp.int32),
+        scale=jnp.sum(jnp.where(smallest_scale(used), used.width, 0)).astype(jnp.int32),
         counted=window.counted,
         status_code=jnp.zeros((), jnp.int32),
         warning_codes=jnp.zeros((), jnp.int32),
@@ -143,7 +144,7 @@ def _report_window(
     at_bound = jnp.any(jnp.abs(fitted.origin) > _AT_BOUND * window.box) & (jnp.trace(any_position) < 2.5)
     improbable = winner.name_probability < 0.5
     marks = {Caution.IMPROBABLE: improbable & ~assumed, Caution.IMPROBABLE_ASSUMED: improbable & assumed}
-    marks[Caution.NOISY_SCALE] = jnp.any((live.details > 0) & (scale_weight == 0))
+    marks[Caution.NOISY_SCALE] = jnp.any((used.details > 0) & (scale_weight == 0))
     codes = caution_codes(velocities, (found.angular.rms, found.linear.rms), thresholds, marks)
     return found, at_bound, codes
 
@@ -241,13 +242,13 @@ def _tied_types(winner: Winner, thresholds: Thresholds | None, types: Types, vel
     return own | (of_types >= _RIVAL * of_types[kind]) | jnp.asarray(SAME_IN_ALL_TYPES)[winner.code]
 
 
-def _with_status(found: tuple[Identification, Array, Array], window: Prepared) -> Identification:
+def _with_status(found: tuple[Identification, Array, Array], prepared: Prepared) -> Identification:
     """Set the status of the windows, and set the numbers of failed windows to NaN or zero."""
     result, at_bound, codes = found
     still = jnp.sum(result.angular.dof, axis=-1) + jnp.sum(result.linear.dof, axis=-1) == 0
     outcome = jnp.where(still, Status.NOT_EXCITED, jnp.where(at_bound, Status.ON_BOUNDS, Status.OK))
     outcome = jnp.where(_is_finite(result), outcome, Status.OUT_OF_RANGE).astype(jnp.int32)
-    outcome = jnp.where(window.status >= 10, window.status, outcome)
+    outcome = jnp.where(prepared.status >= 10, prepared.status, outcome)
     failed = outcome >= 10
 
     leaves, tree = jax.tree.flatten(result)

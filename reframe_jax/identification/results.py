@@ -51,7 +51,7 @@ class Identification:
             NaN for other constraints, and with thresholds.
         noise: estimated white noise of the poses.
         scale: (...) int, smallest time scale that is used, in samples; 1 for single steps.
-        counted: (..., K+1) bool, poses that were used; False for outliers.
+        counted: (..., K+1) bool, False for outliers, which were left out.
         status_code: (...) int; read it as ``status``. The numbers of failed windows are NaN or zero.
         warning_codes: (...) int, bits of :class:`reframe_jax.identification.cautions.Caution`; read them as
             ``warnings``.
@@ -99,7 +99,7 @@ class Identification:
 
     @property
     def entry(self) -> Constraint | None:
-        """Named constraint of a single window; None if the constraint has no name."""
+        """Constraint of a single window in the catalogue, not in the table; None if it has no name."""
         code = int(self.entry_code)
         return constraint_of(code) if code >= 0 else None
 
@@ -151,8 +151,7 @@ class Identification:
         Raises:
             ValueError: for a batch.
         """
-        if np.shape(self.status_code):
-            raise ValueError("A batch has many constraint frames: index one window first, found[i].")
+        check_single(self)
         return ConstraintFrame(
             angular_type=AngularType(int(self.angular.type_code)),
             angular_dof=_dof(self.angular.dof),
@@ -175,8 +174,7 @@ class Identification:
             ValueError: for a batch, for a failed window, or if the number of poses is not the identified
                 number.
         """
-        if np.shape(self.status_code):
-            raise ValueError("A batch has many joints: index one window first, found[i].")
+        check_single(self)
         if self.status.failed:
             raise ValueError(f"There is no joint: {self.status.message}")
         values, counted = np.asarray(poses, dtype=float), np.asarray(self.counted)
@@ -211,10 +209,15 @@ class Identification:
         Raises:
             ValueError: for a batch.
         """
-        if np.shape(self.status_code):
-            raise ValueError("A batch has many explanations: index one window first, found[i].")
+        check_single(self)
         host = jax.tree.map(np.asarray, self)
         return str(host.name) if host.status.failed else explain_window(host, covariance, excitation)
+
+
+def check_single(found: Identification) -> None:
+    """Raise a ValueError for the identification of a batch."""
+    if np.shape(found.status_code):
+        raise ValueError("A batch has several constraints: index one window first, found[i].")
 
 
 def _dof(dof: ArrayLike) -> Dof:

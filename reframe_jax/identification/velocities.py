@@ -21,7 +21,7 @@ def frame_velocities(
 
     Args:
         poses: (K+1, 4, 4) m.
-        steps: (K,) times between consecutive poses, s.
+        steps: (K,) s, durations of the steps between consecutive poses.
         found: identification of these poses.
         discretization: method to compute a velocity from two poses, as in :func:`identify`.
 
@@ -29,6 +29,9 @@ def frame_velocities(
         Angular velocities about the axes of the angular frame, (K, 3) rad/s, and velocities of the origin
         along the axes of the linear frame, (K, 3) m/s. Row k belongs to the step from pose k to pose k + 1;
         it is NaN if one of these poses is an outlier.
+
+    Raises:
+        ValueError: for an unknown discretization.
     """
     rates = kinematics.angular_velocities(poses, steps, discretization)[found.angular.type_code]
     maps = kinematics.linear_velocity_maps(poses, steps, discretization)[found.linear.type_code]

@@ -10,7 +10,7 @@ from reframe_jax.constraints.types import ORIENTATION_BODIES, PARALLEL_COSINE, S
 from reframe_jax.identification.naming import CLASS_CODES, NAME_OF_ENTRY, SAME_IN_ALL_TYPES
 from reframe_jax.identification.optima import Types
 from reframe_jax.model.fit import Data, Parameters, settle
-from reframe_jax.model.solve import Solved
+from reframe_jax.model.solve import Compared, Searched
 from reframe_jax.model.table import ENTRIES, entries_at
 
 Array = jax.Array
@@ -29,33 +29,33 @@ class Winner(NamedTuple):
     probability: Array  # (E,) probability of every entry
 
 
-def winner_of_window(solved: Solved, live: Data) -> Winner:
+def winner_of_window(searched: Searched, compared: Compared, data: Data) -> Winner:
     """Find the most probable name of one window, its most probable entry, and the fit of this entry.
 
-    The result is differentiable with respect to the moments ``live``.
+    The result is differentiable with respect to the moments in ``data``.
     """
-    probability = jnp.exp(solved.log_probability)
+    probability = jnp.exp(compared.log_probability)
     names = jax.ops.segment_sum(probability, jnp.asarray(NAME_OF_ENTRY), int(NAME_OF_ENTRY.max()) + 1)
-    fitted = jnp.any(jnp.arange(len(probability))[:, None] == solved.chosen, axis=1)
+    fitted = jnp.any(jnp.arange(len(probability))[:, None] == compared.chosen, axis=1)
     of_name = jnp.where(fitted, names[NAME_OF_ENTRY], -1)
     mine = fitted & (of_name >= jnp.max(of_name))
     # if all types express a constraint, its entries differ only in their errors: the type with the lowest
     # norm has the smallest error
     alike = jnp.any(mine & jnp.asarray(SAME_IN_ALL_TYPES)) & (probability > _VARIANT * jnp.max(of_name))
-    rank = jnp.where(alike, -solved.norm[jnp.asarray(KIND_OF_ENTRY)], jnp.log(probability) - _BEHIND)
+    rank = jnp.where(alike, -searched.norm[jnp.asarray(KIND_OF_ENTRY)], jnp.log(probability) - _BEHIND)
     code = jnp.argmax(jnp.where(mine, rank, -jnp.inf)).astype(jnp.int32)
-    slot = jnp.argmax(solved.chosen == code).astype(jnp.int32)
-    fitted = jax.tree.map(lambda leaf: leaf[slot], solved.parameters)
+    slot = jnp.argmax(compared.chosen == code).astype(jnp.int32)
+    fitted = jax.tree.map(lambda leaf: leaf[slot], compared.parameters)
     entry = entries_at(code)
-    parameters = settle(fitted, live, entry, solved.tilt_scale, entry.tied)
+    parameters = settle(fitted, data, entry, searched.tilt_scale, entry.tied)
     return Winner(code, jnp.asarray(KIND_OF_ENTRY)[code], jnp.max(of_name), parameters, probability)
 
 
-def winner_by_thresholds(types: Types, solved: Solved, angular: Array, linear: Array) -> Winner:
+def winner_by_thresholds(types: Types, searched: Searched, angular: Array, linear: Array) -> Winner:
     """Choose by the paper's rule: the types with the lowest norms, and their degrees of freedom.
 
     ``angular`` (2, 3) and ``linear`` (4, 3) are the degrees of freedom of all types, by thresholds of RMS
-    velocities. Only the start parameters and the origins of ``solved`` are used.
+    velocities. Only the start parameters and the origins of ``searched`` are used.
     """
     a, linear_type = (jnp.argmin(norm).astype(jnp.int32) for norm in (types.angular_norm, types.linear_norm))
     r, t = jnp.sum(angular[a]), jnp.sum(linear[linear_type])
@@ -66,7 +66,7 @@ def winner_by_thresholds(types: Types, solved: Solved, angular: Array, linear: A
     cosine = jnp.abs(first @ second)
     relation = jnp.where(cosine > PARALLEL_COSINE, 0, jnp.where(cosine < SQUARE_COSINE, 1, 2))
     code = jnp.asarray(CLASS_CODES)[linear_type, r, t, relation]
-    parameters = jax.tree.map(lambda leaf: leaf[jnp.maximum(code, 0)], solved.starts)
-    parameters = parameters._replace(origin=solved.origins[linear_type])
+    parameters = jax.tree.map(lambda leaf: leaf[jnp.maximum(code, 0)], searched.starts)
+    parameters = parameters._replace(origin=searched.origins[linear_type])
     unknown = jnp.full(len(ENTRIES), jnp.nan, types.linear_norm.dtype)
     return Winner(code, linear_type, unknown[0], parameters, unknown)

@@ -1,4 +1,4 @@
-"""Every tuned constant of the model, with where it comes from.
+"""The tuned constants of the model, with where they come from.
 
 The figures behind them: about 3,000 simulated recordings (white noise of 1 um to 3 mm; slow errors of 0.1 to
 3 mm and 0.5 to 10 mrad; exciting, slow and single-sine motion) and 52 real ones, on seeds that are not used
@@ -28,12 +28,14 @@ class Evidence(NamedTuple):
         scale_error: largest scale error of a tracker, as a fraction of the translation that the only free
             rotation causes.
         amplitude_variance: variance of the log of a mean square, in addition to its sampling variance.
-        worth: largest number of independent values in the comparison of held covariances between entries.
+        worth: largest number of independent values in the comparison of variances between entries.
         repeatable_part: amplitude, as a fraction of the smallest slow error, that is added in this comparison
             to every coordinate of entries with more freedom.
         repeatable_gain: largest factor by which this raises one; fits seldom reduce such errors by more.
         per_parameter: cost of a parameter, in log evidence.
         nothing_held: cost of an unconstrained motion, in log evidence; with 0, fewer soft contacts are named.
+        nothing_power: exponent of the mean over the linear types that describe an unconstrained motion;
+            with 1, fewer soft contacts are named; with the minimum, less long free motion.
         screw_worth: largest number of independent values in the comparison of the translation of a screw
             with its rotation.
         pitch_cost: cost of a pitch: its log is uniform over three decades for each sign, and a screw is less
@@ -60,7 +62,8 @@ class Evidence(NamedTuple):
     repeatable_part: float = 0.5
     repeatable_gain: float = 3.0
     per_parameter: float = 1.0
-    nothing_held: float = 1.0
+    nothing_held: float = 1.5
+    nothing_power: float = 1 / 3
     screw_worth: float = 6.0
     pitch_cost: float = log(13.8 * 7)
 

@@ -26,12 +26,9 @@ def promising_pairs(
 ) -> tuple[Array, Array]:
     """Choose, from nine pairs of axes, the three with the lowest objective: a (3, 3, N) and b (3, 3, N).
 
-    Args:
-        forms: (3, 3, 3, 3, S, N) moments of R, entry by entry.
-        details: (S, N) number of independent details of each scale.
-        mean_matrix: (3, 3, N) mean of all R; a'E[R]b is the mean cosine of the angle between the axes.
-        ground: (3, 3, N) axes of the ground, as columns.
-        body: (3, 3, N) axes of the body, as columns.
+    The forms (3, 3, 3, 3, S, N) are the moments of R, entry by entry, ``details`` (S, N) the independent
+    details of each scale, and ``mean_matrix`` (3, 3, N) is the mean of all R. The axes of the ground and of
+    the body are columns of (3, 3, N). The mean cosine of the angle between two axes is a'E[R]b.
     """
     of_ground = total(forms[:, :, :, :, None] * ground[:, None, None, None, :, None], 0)
     of_ground = total(of_ground * ground[:, None, :, None], 1)  # (j, l, a, S, N)

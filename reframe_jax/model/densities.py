@@ -44,18 +44,23 @@ class Nodes(NamedTuple):
         return Nodes(self.squares[:, rows], self.weights[:, rows], self.below[rows], self.top[rows])
 
 
+def times_roots(nodes: Nodes) -> Nodes:
+    """Multiply the weights and the likelihood below by the amplitudes, for :func:`held_likelihood`."""
+    roots = jnp.sqrt(nodes.squares)
+    return nodes._replace(weights=nodes.weights * roots, below=nodes.below * roots[0])
+
+
 def held_likelihood(nodes: Nodes, sizes: Array) -> Array:
     """Compute the likelihood, divided by exp(top), of k held coordinates for a grid g of squared error sizes.
 
-    The sizes and the result have the shape (k, g, ...). The grid may have several axes.
+    The nodes are those of :func:`times_roots`. The sizes and the result have the shape (k, g, ...). The grid
+    may have several axes.
     """
     squares, weights, below, _ = _spread(nodes, sizes.ndim)
     # slopes 1 and -7: sqrt(a^2 / s) / (1 + a^2 / s)^4, one division a node
-    root = jnp.sqrt(squares)
-    power = jnp.square(jnp.square(1 / (sizes + squares) * sizes))
-    first = squares[0] / sizes
-    rest = below * jnp.sqrt(first / (1 + first / _HELD_TOTAL**2))
-    return (add(weights * root * power, 0) / jnp.sqrt(sizes) + rest) / _HELD_TOTAL
+    power = jnp.square(jnp.square(sizes / (sizes + squares)))
+    rest = below / jnp.sqrt(sizes + squares[0] / _HELD_TOTAL**2)
+    return (add(weights * power, 0) / jnp.sqrt(sizes) + rest) / _HELD_TOTAL
 
 
 def free_evidence(nodes: Nodes, sizes: Array, slope: Array) -> Array:
@@ -92,10 +97,8 @@ def _spread(nodes: Nodes, axes: int) -> Nodes:
 def amplitude_nodes(measured: Array, noise: Array, variance: Array) -> Nodes:
     """Compute the nodes of the likelihoods of amplitudes, in single precision.
 
-    Args:
-        measured: (6, ...) measured mean square, m^2 or rad^2.
-        noise: (6, ...) part of the mean square that is noise.
-        variance: (6, ...) variance of the log of ``measured``.
+    The arguments (6, ...) are the measured mean square, m^2 or rad^2, its part that is noise, and the
+    variance of its log.
     """
     measured, noise, variance = (x.astype(jnp.float32) for x in (measured, noise, variance))
     ratio, deviation = jnp.log(measured / noise), jnp.sqrt(variance)

@@ -7,25 +7,17 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from reframe_jax.constraints.types import LinearType
-from reframe_jax.geometry.small import (
-    invert_symmetric,
-    materialize,
-    pick,
-    sandwich,
-    times,
-    total,
-    trace,
-    unit_matrix,
-)
+from reframe_jax.geometry.kernel import in_registers
+from reframe_jax.geometry.small import invert_symmetric, materialize, pick, times, total, trace, unit_matrix
 from reframe_jax.geometry.symmetric import INDEX_PAIRS
 from reframe_jax.model import features as z
-from reframe_jax.model.evidence import Amplitudes, Coordinates, Spectra, amplitudes_of, log_evidence
+from reframe_jax.model.amplitudes import Spectra, amplitudes_of
+from reframe_jax.model.evidence import Evaluated, log_evidence
 from reframe_jax.model.features import Features
 from reframe_jax.model.moments import Moments
-from reframe_jax.model.rows import Forms, coordinates_at, in_body
+from reframe_jax.model.rows import Forms, in_body
 from reframe_jax.model.steps import Unknowns, tilted_axis
 from reframe_jax.model.table import KINDS, ROWS, Table
 
@@ -63,14 +55,9 @@ def window_statistics(
 ) -> WindowStatistics:
     """Collect the statistics of N windows.
 
-    Args:
-        features: features of the windows.
-        moments: moments of all scales.
-        scale_weight: (N, S) weights of the scales in an amplitude.
-        paths: (3, 3, S, 5, N) m^2, moments of the translations in ``PATHS`` at ``origins``.
-        noise: (N, 2) m and rad, white noise of a pose.
-        origins: (3, 4, N) m, origin of every linear type.
-        universal_axes: (2, 3, N) axes a and b of the universal joint.
+    The paths (3, 3, S, 5, N), m^2, are moments of the translations in ``PATHS`` at the origins (3, 4, N), m,
+    of the linear types. The other arguments are those of :func:`.compare_windows`, the weights (N, S) of the
+    scales in an amplitude, and the axes a and b (2, 3, N) of the universal joint.
     """
     rotations = jnp.moveaxis(features.to_rotation[:, :, z.TURN_GROUND], 0, -1).transpose(1, 2, 0, 3)
     levers = _squared_levers(features, rotations, origins)
@@ -85,43 +72,30 @@ def window_statistics(
     )
 
 
-def evaluate_entries(
-    forms: Forms, at: Unknowns, entries: Table, windows: WindowStatistics
-) -> tuple[Amplitudes, Array]:
-    """Compute the amplitudes and the log evidence (entries, N) of entries.
+def evaluate_entries(forms: Forms, at: Unknowns, entries: Table, windows: WindowStatistics) -> Evaluated:
+    """Compute the amplitudes and the log evidence (entries, N) of entries: rows of the table at parameters.
 
-    Args:
-        forms: moments about the origins, with the axes (entries, N) last.
-        at: frames, origins, tilts and pitches of the entries.
-        entries: rows of the table.
-        windows: statistics of the windows.
+    The forms are the moments about the origins, with the axes (entries, N) last.
     """
-    turns, shifts, mixed = coordinates_at(forms, at, entries.apart)
-    universal, crossed = windows.universal, entries.crossed
-    # ---- a universal joint has its own rotation coordinates
-    turns = jnp.where(crossed, universal.form[:, :, :, None], turns)
-    # ---- sensitivity to a rotation
-    unit = unit_matrix(turns.dtype, 2) + jnp.zeros_like(at.frame)
-    sine = total(universal.sine, 0) / len(universal.sine)
-    corner = (np.arange(9) == 0).reshape(3, 3, 1, 1)
-    of_turns = jnp.where(crossed & corner, sine, unit)
+    universal, crossed, spectra = windows.universal, entries.crossed, windows.spectra
+    sine = total(universal.sine, 0)[None] / len(universal.sine)
     lever = pick(windows.levers, entries.path, 2)
-    lever = materialize(sandwich(at.frame, lever[:, :, None]))[:, :, 0]
-    third = (np.arange(3) == 2)[:, None, None]
-    row = entries.apart & (third[:, None] | third[None])
-    lever = jnp.where(row, jnp.where(third[:, None] & third[None], at.pitch**2, 0), lever)
+    crossed_form = universal.form[:, :, :, None]
+    compute = in_registers(amplitudes_of, 2)
+    amplitudes = compute(materialize(forms), crossed_form, at, entries, lever, sine, spectra)
     # ---- derivative of the coordinates with respect to the pose
     axis = times(windows.mean[:, :, None], times(at.frame, tilted_axis(at.tilt)))
     along = total(windows.rotations[:, :, :, None] * at.frame[None, :, 2, None], 1)
     cosine = total(along * axis[:, None], 0)
     det = jnp.where(entries.apart & in_body(entries), jnp.abs(cosine), 1.0)
     det = jnp.where(crossed, universal.sine[:, None], det)
-    gain = jnp.asarray([0.0, 0, 0, 1, 1, 1], turns.dtype)[:, None, None]
     consistency = total(jnp.log(det + 1e-6), 0) / len(det)
-    coordinates = Coordinates(turns, shifts, mixed, jnp.stack([of_turns, lever]), gain, consistency)
-    amplitudes = amplitudes_of(materialize(coordinates), entries, windows.spectra)
-    tilt = jnp.where(entries.tied, jnp.sqrt(total(at.tilt**2, 0) + jnp.finfo(turns.dtype).tiny), 0)
-    return amplitudes, log_evidence(amplitudes, tilt, entries, windows.spectra.noise)
+    tilt = jnp.where(entries.tied, jnp.sqrt(total(at.tilt**2, 0) + jnp.finfo(det.dtype).tiny), 0)
+    evidence = log_evidence(amplitudes, tilt, entries, spectra.noise)
+    # entries whose evidence is not a number, for example where nothing moves, are improbable
+    evidence = jnp.where(jnp.isnan(evidence), -jnp.inf, evidence)
+    numbers = amplitudes.square, amplitudes.independent, amplitudes.log_variance
+    return Evaluated(evidence, consistency, *numbers)
 
 
 def _universal_moments(a: Array, b: Array, products: Array, features: Features) -> UniversalMoments:
@@ -160,14 +134,9 @@ def _limited_noise(paths: Array, turns: Array, levers: Array, details: Array, no
     """White noise (2, N), m and rad, of positions and rotations: no more than the axes of least motion show.
 
     The least variance along any axis is at most 3 / tr(C^-1) for the covariance C. A part of it, at most the
-    noise of rotations times the squared lever, comes from rotations.
-
-    Args:
-        paths: (3, 3, 5, N) m^2, moments of the differences of consecutive poses, for every translation.
-        turns: (3, 3, N) rad^2, the same of the rotation.
-        levers: (3, 3, 5, N) m^2, see :class:`WindowStatistics`.
-        details: (N,) number of these differences; 0 if the poses have no order.
-        noise: (2, N) m and rad, estimates from the poses.
+    noise of rotations times the squared lever, comes from rotations. The moments of the differences of
+    consecutive poses are ``paths`` (3, 3, 5, N), m^2, for every translation, and ``turns`` (3, 3, N), rad^2;
+    ``details`` (N,) is their number, 0 if the poses have no order.
     """
     forms = jnp.concatenate([paths, turns[:, :, None]], axis=2)
     unit = jnp.broadcast_to(unit_matrix(forms.dtype, 2), turns[:, :, None].shape)

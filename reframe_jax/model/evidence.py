@@ -12,11 +12,13 @@ The four sizes are the same for all coordinates of a recording, and are integrat
 errors are correlated: errors of rotation cause errors of position. The densities
 are smooth functions of the logarithm, so the trapezoidal rule is accurate with coarse steps.
 
-Two terms are added. The first is a likelihood that compares the covariances of the held coordinates between
-entries, all scales alike; it counts few independent values, because the samples of a motion are correlated.
-Errors that repeat with the motion, as of an arm with wrong link lengths, can agree exactly with more freedom.
-Therefore, in entries with more free axes than that with the most probable amplitudes, variances far below the
-slow errors do not count. The second term costs one unit of log evidence per parameter.
+Three terms are added. The first is a likelihood of the variances of all six coordinates, all scales alike;
+it counts few independent values, because the samples of a motion are correlated. Errors that repeat with the
+motion, as of an arm with wrong link lengths, can agree exactly with more freedom. Therefore, in entries with
+a pitch, or with more free axes than that with the most probable amplitudes, variances far below the slow
+errors do not count. The second term costs one unit of log evidence per parameter, and divides the prior of a
+constraint among its representations. The third is for screws: they gain where the translation follows the
+rotation, and pay for the pitch.
 """
 
 from math import log
@@ -26,25 +28,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.geometry.small import (
-    axial,
-    crosses,
-    diagonalize,
-    largest,
-    materialize,
-    solve_symmetric,
-    times,
-    total,
-    trace,
-    unit_matrix,
-)
+from reframe_jax.geometry.small import largest, materialize, total
+from reframe_jax.model.amplitudes import Amplitudes
 from reframe_jax.model.constants import EVIDENCE as C
-from reframe_jax.model.densities import Nodes, amplitude_nodes, free_evidence, held_likelihood
+from reframe_jax.model.densities import Nodes, amplitude_nodes, free_evidence, held_likelihood, times_roots
 from reframe_jax.model.table import Table
 
 Array = jax.Array
-_TINY = 1e-18  # m^2 and rad^2, added to every variance
-_RIDGE = 1e-6  # fraction of the trace that regularizes the regression of translations on rotations
+
+_TYPES = 4  # entries in which nothing is held, one for each linear type
 
 # ---- grids of the logarithms of sizes
 _ERRORS = 1.4 * np.arange(-2, 6)  # log of slow errors over their median
@@ -76,126 +68,11 @@ def _slow_errors() -> np.ndarray:
 _MOTIONS, _SLOW_ERRORS = _motions(), _slow_errors()
 
 
-class Spectra(NamedTuple):
-    """Statistics of the scales of a window."""
-
-    details: Array  # (S,) number of independent details, also at unused scales
-    scale_weight: Array  # (S,) weight of a scale in the variance of a coordinate; 0 at unused scales
-    white: Array  # (S,) variance of a detail for white noise of variance 1
-    noise: Array  # (2,) m and rad, standard deviation of the white noise of a pose
-
-
-class Amplitudes(NamedTuple):
-    """The six coordinates of an entry."""
-
-    square: Array  # (6,) mean square over the recording, m^2 or rad^2
-    noise: Array  # (6,) part of ``square`` that is white noise
-    variance: Array  # (6,) variance of the logarithm of ``square``
-    independent: Array  # (6,) number of independent values
-    lever: Array  # (6,) squared sensitivity to a rotation, m^2 or 1
-    log_variance: Array  # (6,) float32, mean over the used scales of the logarithm of the variance
-    consistency: Array  # () mean log |det| of the derivative of the coordinates with respect to the pose
-
-
-class Coordinates(NamedTuple):
-    """Moments of the six coordinates of an entry, components first and problems last."""
-
-    turns: Array  # (3, 3, S, ...) moments of the rotations
-    shifts: Array  # (3, 3, S, ...) moments of the translations
-    mixed: Array  # (3, 3, S, ...) moments of rotations with translations; not used for universal joints
-    levers: Array  # (2, 3, 3, ...) moments of the sensitivities of rotations and translations to a rotation
-    gain: Array  # (6, ...) squared sensitivity to a position
-    consistency: Array  # (...) mean log |det| of the derivative of the coordinates with respect to the pose
-
-
-def _diagonal(outer: Array, form: Array) -> Array:
-    """Diagonal (3, S, ...) of U' C U for U (3, 3, ...) and C (3, 3, S, ...)."""
-    half = total(outer[:, :, None, None] * form[:, None], 0)
-    return total(half * jnp.swapaxes(outer, 0, 1)[:, :, None], 1)
-
-
-def _beyond_rotations(coordinates: Coordinates, entry: Table, scale_weight: Array) -> Array:
-    """Return the moments of the translations (3, 3, S, ...), less what rotations explain of the held ones.
-
-    An error d of a held rotation displaces the origin of the body by d x c if it acts about a point at -c,
-    such as the centre of the markers, or the camera for a camera on the body. A regression yields c, so that
-    the evidence hardly depends on the choice of the body frame. If only one rotation is free, held
-    translations may be proportional to it: a tracker has a scale error.
-    """
-    # where nothing is free, the regression would explain every motion by errors
-    turned = entry.held[:3] & ~entry.crossed & ~jnp.all(entry.held, axis=0)
-    fixed, free = entry.held[3:], ~entry.held[2]
-    unit = unit_matrix(scale_weight.dtype, free.ndim)
-    whole = total(coordinates.turns * scale_weight, 2)
-    mixed = jnp.where(fixed, total(coordinates.mixed * scale_weight, 2), 0)
-    # d x c along the held translations: the matrix of its mean square in c, and its product with them
-    errors = jnp.where(turned[:, None] & turned, whole, 0)
-    one, two, three = (jnp.where(each, errors, 0) for each in fixed)
-    rows = [
-        [two[2, 2] + three[1, 1], -three[0, 1], -two[0, 2]],
-        [-three[0, 1], one[2, 2] + three[0, 0], -one[1, 2]],
-        [-two[0, 2], -one[1, 2], one[1, 1] + two[0, 0]],
-    ]
-    matrix = jnp.stack([jnp.stack(row) for row in rows]) + (_RIDGE * trace(errors) + _TINY) * unit
-    centre = solve_symmetric(materialize(matrix), -axial(jnp.where(turned[:, None], mixed, 0)))
-    centre = centre * jnp.minimum(1, C.error_centre / jnp.sqrt(total(centre * centre, 0) + _TINY))
-    most = C.scale_error * jnp.sqrt(total(coordinates.levers[1] * unit, 0))
-    scale = jnp.clip(mixed[2] / (whole[2, 2] + _TINY), -most, most)
-    last = (np.arange(3) == 2).reshape(3, *[1] * (free.ndim + 1))
-    slope = jnp.where(last & free & turned[0], scale, jnp.where(turned[:, None], crosses(centre), 0))
-    slope = materialize(jnp.where(fixed, slope, 0))[:, :, None]
-    rest = materialize(coordinates.mixed - times(coordinates.turns, slope))
-    shifts = coordinates.shifts - times(jnp.swapaxes(slope, 0, 1), rest)
-    return materialize(shifts - times(jnp.swapaxes(coordinates.mixed, 0, 1), slope))
-
-
-def amplitudes_of(coordinates: Coordinates, entry: Table, spectra: Spectra) -> Amplitudes:
-    """Compute the amplitudes of the coordinates of entries, components first and problems last.
-
-    Args:
-        coordinates: moments of the coordinates.
-        entry: rows of the table, (6, ...) and (6, 6, ...).
-        spectra: statistics of the scales, with the scales first.
-    """
-    scale_weight, together = spectra.scale_weight, entry.together
-    shifts = _beyond_rotations(coordinates, entry, scale_weight)
-    both = jnp.stack([coordinates.turns, shifts], axis=3)  # (3, 3, S, 2, ...)
-    mixable = jnp.stack([together[:3, :3], together[3:, 3:]], axis=2)
-    whole = materialize(total(both * scale_weight[:, None], 2))
-    axes = materialize(diagonalize(whole[:, :, None], together=mixable, sweeps=3))
-    turns, shifts = jnp.moveaxis(materialize(_diagonal(axes, both)), 2, 0)
-    lever = jnp.moveaxis(_diagonal(axes, jnp.moveaxis(coordinates.levers, 0, 2)[:, :, None])[:, 0], 1, 0)
-    axes, lever = jnp.moveaxis(axes, 2, 0), lever.reshape(6, *lever.shape[2:])
-    each = jnp.maximum(jnp.concatenate([turns, shifts]), 0) + _TINY
-    parts = each * scale_weight
-    square = total(parts, 1)
-    noise = coordinates.gain * spectra.noise[0] ** 2 + lever * spectra.noise[1] ** 2
-    # the white noise is at most the variance at any scale
-    shown = jnp.where(spectra.details[:-1] > 0, each[:, :-1] / spectra.white[:-1], jnp.inf)
-    noise = jnp.minimum(noise, -largest(-shown, 1)) * total(scale_weight * spectra.white, 0) + 0.1 * _TINY
-    variance = total(2 * jnp.square(parts) / jnp.maximum(spectra.details, 1), 1) / square**2
-    used = (scale_weight > 0).astype(jnp.float32)
-    return Amplitudes(
-        square=square,
-        noise=noise,
-        variance=jnp.minimum(variance, 1) + C.amplitude_variance,
-        independent=2 / jnp.maximum(variance, 0.01),
-        lever=lever,
-        log_variance=total(jnp.log(each.astype(jnp.float32)) * used, 1) / total(used, 0),
-        consistency=coordinates.consistency,
-    )
-
-
 def log_evidence(amplitudes: Amplitudes, tilt: Array, entry: Table, noise: Array) -> Array:
     """Compute the log evidence (...) of the coordinates, with the sizes of errors and motions integrated out.
 
-    Components come first, problems last.
-
-    Args:
-        amplitudes: amplitudes of the coordinates.
-        tilt: (...) rad, angle between the axis in {b} and in {g}; 0 for entries without a common axis.
-        entry: rows of the table.
-        noise: (2, ...) m and rad, white noise, which raises the prior of slow errors.
+    The tilt (...), rad, is the angle between the axis in {b} and in {g}; 0 for entries without a common axis.
+    The noise (2, ...), m and rad, is white noise, which raises the prior of slow errors.
     """
     nodes = materialize(amplitude_nodes(amplitudes.square, amplitudes.noise, amplitudes.variance))
     value = _errors(nodes, amplitudes.lever, tilt, entry.held, noise) + _moves(nodes, amplitudes, entry.held)
@@ -212,7 +89,7 @@ def _errors(nodes: Nodes, lever: Array, tilt: Array, held: Array, noise: Array) 
     middle = (least**2 + jnp.square(C.error_of_noise * noise)).astype(jnp.float32)
     steps = _grid(np.exp(2 * _ERRORS), held.ndim - 1)
     e_t, e_r = middle[0] * steps, middle[1] * steps  # squares, (G, ...)
-    lever = lever.astype(jnp.float32)[:, None]
+    lever, nodes = materialize((lever.astype(jnp.float32)[:, None], times_roots(nodes)))
     turns = jnp.where(held[:3, None], held_likelihood(nodes.rows(slice(0, 3)), e_r * lever[:3]), 1)
     ratio = e_r / (e_r + jnp.square(tilt).astype(jnp.float32))
     turns = materialize(turns[0] * turns[1] * turns[2] * ratio**C.tilt_above)
@@ -241,31 +118,39 @@ def _moves(nodes: Nodes, amplitudes: Amplitudes, held: Array) -> Array:
     return jnp.log(total(a * shared, 0) + jnp.finfo(jnp.float32).tiny) + tops[0] + tops[1]
 
 
-def compare(
-    evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table, standard: np.ndarray
-) -> Array:
+class Evaluated(NamedTuple):
+    """Values of entries that their comparison needs."""
+
+    evidence: Array  # (...) result of :func:`log_evidence`
+    consistency: Array  # (...) mean log |det| of the derivative of the coordinates with respect to the pose
+    square: Array  # (6, ...) as in :class:`Amplitudes`
+    independent: Array  # (6, ...)
+    log_variance: Array  # (6, ...)
+
+
+def compare(entries: Evaluated, pitch: Array, table: Table, standard: np.ndarray) -> Array:
     """Compute the log probability (E, ...) of entries. Arrays have components, entries, then problems.
 
-    Args:
-        evidence: (E, ...) result of :func:`log_evidence`.
-        amplitudes: amplitudes of the entries.
-        pitch: (E, ...) m/rad.
-        table: the entries.
-        standard: (E,) bool, entries whose held coordinates may show how large slow errors are.
+    The pitch is (E, ...), m/rad. The held coordinates of ``standard`` (E,) entries may show how large slow
+    errors are.
     """
+    evidence = entries.evidence
     first = jnp.arange(len(evidence)).reshape(-1, *[1] * (evidence.ndim - 1))
     best = first == jnp.argmax(jnp.where(standard.reshape(first.shape), evidence, -jnp.inf), axis=0)
     # the fewest values of a free coordinate of the best entry
-    independent = jnp.min(jnp.where(~table.held & best, amplitudes.independent, jnp.inf), axis=(0, 1))
+    independent = jnp.min(jnp.where(~table.held & best, entries.independent, jnp.inf), axis=(0, 1))
     worth = jnp.minimum(jnp.where(jnp.isfinite(independent), independent, 1.0), C.worth)
-    size = total(_raised(amplitudes.log_variance, table, best), 0)
-    value = evidence - worth * (0.5 * size - amplitudes.consistency)
+    size = total(_raised(entries.log_variance, table, best), 0)
+    value = evidence - worth * (0.5 * size - entries.consistency)
     value = value - jnp.log(table.variants) - C.per_parameter * table.parameters
-    value = value + jnp.where(table.pitch, _screw(amplitudes, pitch, worth), 0)
+    value = value + jnp.where(table.pitch, _screw(entries, pitch, worth), 0)
+    value = jnp.where(evidence > -jnp.inf, value, -jnp.inf)
     # entries without held coordinates describe the same motion in the coordinates of different types: all of
-    # them get the lowest value, less the cost of such a motion
+    # them get a power mean of their probabilities, less the cost of such a motion
     nothing = ~jnp.any(table.held, axis=0) & jnp.isfinite(value)
-    value = jnp.where(nothing, jnp.min(jnp.where(nothing, value, jnp.inf), axis=0) - C.nothing_held, value)
+    powers = jnp.where(nothing, C.nothing_power * value, -jnp.inf)
+    mean = (jax.nn.logsumexp(powers, axis=0) - log(_TYPES)) / C.nothing_power
+    value = jnp.where(nothing, mean - C.nothing_held, value)
     return value - jax.nn.logsumexp(value, axis=0)
 
 
@@ -283,11 +168,11 @@ def _raised(log_variance: Array, table: Table, best: Array) -> Array:
     return jnp.minimum(raised, log_variance + 2 * log(C.repeatable_gain))
 
 
-def _screw(amplitudes: Amplitudes, pitch: Array, worth: Array) -> Array:
+def _screw(entries: Evaluated, pitch: Array, worth: Array) -> Array:
     """Log evidence (E, ...) of a screw: agreement of translation and rotation, less the cost of a pitch."""
-    turn, *others, row = amplitudes.square[2:].astype(jnp.float32)
+    turn, *others, row = entries.square[2:].astype(jnp.float32)
     travel = jnp.square(pitch).astype(jnp.float32) * turn
-    values = jnp.maximum(jnp.minimum(amplitudes.independent[2], C.screw_worth) - 1 - worth, 0)
+    values = jnp.maximum(jnp.minimum(entries.independent[2], C.screw_worth) - 1 - worth, 0)
     # slow errors, which the other held translations show, may be proportional to the rotation
     errors = jnp.maximum(row, 0.5 * (others[0] + others[1]))
     gain = values * 0.5 * jnp.log((errors + travel) / errors)

@@ -46,11 +46,8 @@ class Features(NamedTuple):
 def pose_features(rotation: jax.Array, position: jax.Array, steps: jax.Array, count: jax.Array) -> Features:
     """Compute the features of the poses of N windows.
 
-    Args:
-        rotation: (3, 3, P, N) of {b} in {g}.
-        position: (3, P, N) m in {g}, relative to the mean.
-        steps: (1, K) or (N, K) s, time steps.
-        count: (N,) number of poses before the padding.
+    Poses are rotations (3, 3, P, N) and positions (3, P, N), m, relative to the mean, of {b} in {g}. Time
+    steps are (1, K) or (N, K), s; ``count`` (N,) is the number of poses before the padding.
     """
     turns, shifts = twist_paths(rotation, position, steps, count)
     rows = [position, rotation.reshape(9, *position.shape[1:]), times(jnp.swapaxes(rotation, 0, 1), position)]

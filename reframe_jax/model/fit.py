@@ -72,10 +72,7 @@ def ground_axes(parameters: Parameters, mean_rotation: Array) -> Array:
 def coordinates(parameters: Parameters, mean_rotation: Array, entry: Table) -> Array:
     """Return the matrix (6, 27) whose rows, times the 27 features of a pose, give an entry's six coordinates.
 
-    Args:
-        parameters: axes, origin, tilt and pitch of the constraint.
-        mean_rotation: (3, 3) mean rotation of the body, which takes the axes in the body to the ground.
-        entry: row of the table of constraints.
+    The mean rotation (3, 3) of the body takes the axes in the body to the ground.
     """
     return coordinates_along(ground_axes(parameters, mean_rotation), parameters, entry)
 

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.geometry.small import cross, normalize, pick, sandwich, times, total, unit_matrix
+from reframe_jax.geometry.small import cross, normalize, pick, times, total, unit_matrix
 from reframe_jax.model import features as z
-from reframe_jax.model.steps import Problem, Unknowns, axis_row, path_of, row_size
+from reframe_jax.model.steps import Problem, path_of
 from reframe_jax.model.table import KINDS, PATHS, ROWS, Table
 
 Array = jax.Array
@@ -76,9 +76,7 @@ class EntryMoments(NamedTuple):
 def entry_moments(products: Array, mean: Array) -> EntryMoments:
     """Select the moments of every kind of translation, (..., S, 5, ...), from the moments of all features.
 
-    Args:
-        products: (27, 27, S, ...) moments of the features.
-        mean: (3, 3, ...) mean rotation.
+    The moments are (27, 27, S, ...), and ``mean`` (3, 3, ...) is the mean rotation.
     """
     lanes = products.ndim - 3
     signs = jnp.asarray(_SIGNS, products.dtype).reshape(*_SIGNS.shape, *[1] * (lanes + 1))
@@ -122,25 +120,6 @@ def problem_of(
         scale=scale,
         box=box,
     )
-
-
-def coordinates_at(forms: Forms, at: Unknowns, apart: Array) -> tuple[Array, Array, Array]:
-    """Return the moments (3, 3, S, ...) of rotations, of translations, and of rotations with translations.
-
-    Args:
-        forms: moments at the origins.
-        at: frame, origin, tilt and pitch of the entries.
-        apart: (...) bool, as in the table.
-    """
-    frame = at.frame
-    turns, shifts = sandwich(frame, forms.rows[3:, 3:]), sandwich(frame, forms.path)
-    half = total(forms.mixed[:, None, 3:] * frame[:, :, None, None], 0)
-    mixed = total(half[None] * jnp.swapaxes(frame, 0, 1)[:, None, :, None], 2)
-    moved, size = row_size(forms.rows, axis_row(at))
-    along = total(moved[3:, None] * frame[:, :, None], 0)
-    third = (np.arange(3) == 2).reshape(3, *[1] * (along.ndim - 1))
-    mixed = jnp.where(apart & third[None], along[:, None], mixed)
-    return turns, jnp.where(apart & third[:, None] & third[None], size, shifts), mixed
 
 
 def rotation_forms(products: Array) -> Array:

@@ -59,9 +59,8 @@ _ADDED_UP = partial(added_up, axes=(2, 0, -1))  # over the scales of coefficient
 def polynomials(products: Array, rows: np.ndarray) -> Array:
     """Compute the coefficients (6, 10, S, T, 1, N) of Sigma_s(x) for every linear type.
 
-    Args:
-        products: (F, F, S, N) moments of the features.
-        rows: (T, 3, 4, F): coordinate i of type t is sum_a (1, x)_a rows[t, i, a] z.
+    The products are the moments (F, F, S, N) of the features z. With the rows (T, 3, 4, F), coordinate i of
+    type t is sum_a (1, x)_a rows[t, i, a] z.
     """
     # every entry of `rows` is 0, 1 or -1 and has one feature: moments are picked, not multiplied
     feature, sign = np.abs(rows).argmax(-1), rows.sum(-1)
@@ -84,10 +83,7 @@ def unexplained_covariance(moments: Array, rows: np.ndarray) -> Array:
     The path is affine in the origin, with rotation features as coefficients. A linear regression of the
     constant part on these features leaves smaller residuals than any origin, and they are small along held
     axes only. The inverse of this covariance weights the coordinates in the search for a first origin.
-
-    Args:
-        moments: (F, F, N) moments of the features over all scales.
-        rows: (T, 3, 4, F), see :func:`polynomials`.
+    The moments (F, F, N) are those over all scales; for the rows, see :func:`polynomials`.
     """
     used = [
         (np.flatnonzero(np.abs(of[:, 0]).any(0)), np.flatnonzero(np.abs(of[:, 1:]).any((0, 1))))
@@ -114,14 +110,9 @@ def lowest_origins(
 ) -> tuple[Array, Array]:
     """Find the lowest F of every type, and its origin.
 
-    Args:
-        coefficients: (6, 10, S, T, 1, N), see :func:`polynomials`.
-        details: (S, N) independent details of each scale.
-        box: (N,) m, half the width of the cube that is searched.
-        unexplained: (3, 3, T, 1, N) m^2, see :func:`unexplained_covariance`.
-
-    Returns:
-        The origins (3, T, N), m, and F (T, N) at these origins.
+    The result is the origins (3, T, N), m, and F (T, N) at these origins. The arguments are the results of
+    :func:`polynomials` and of :func:`unexplained_covariance`, the independent details (S, N) of each scale,
+    and half the width (N,), m, of the cube that is searched.
     """
     problem = coefficients, details[:, None, None], box[None, None]
     x = _starts(*problem[:2], unexplained)

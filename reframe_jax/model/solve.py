@@ -6,7 +6,7 @@ have components first, then scales, entries and windows.
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from reframe_jax.geometry.small import materialize, pick, sandwich, times, total
 from reframe_jax.model import features as z
 from reframe_jax.model.constants import ABOVE_NOISE
 from reframe_jax.model.evaluation import WindowStatistics, evaluate_entries, window_statistics
-from reframe_jax.model.evidence import Amplitudes, compare
+from reframe_jax.model.evidence import Evaluated, compare
 from reframe_jax.model.features import Features
 from reframe_jax.model.fit import ASSUMED_STEPS, STEPS, Parameters
 from reframe_jax.model.moments import Moments
@@ -29,79 +29,86 @@ from reframe_jax.model.steps import Unknowns, descend, path_of
 from reframe_jax.model.table import ENTRIES, LINEAR_KINDS, ROWS, TABLE, Table, entries_at
 
 Array = jax.Array
+_LATE = 2  # octaves between the smallest scales of both groups beyond which one of them only drifts
 CANDIDATES = 7  # entries that are fitted; with poor starting parameters, the right one may rank only fifth
 # entries whose held coordinates do not depend on a starting origin that two directions leave undetermined
 _PLACED = np.array([len(entry.any_origin) != 2 for entry in ENTRIES])
 _EVERY = Table(*(np.moveaxis(leaf, 0, -1)[..., None] for leaf in TABLE))  # entries (..., E, 1) as in problems
 
 
-class Solved(NamedTuple):
-    """Result of the model for N windows.
+class ScaleWeights(NamedTuple):
+    """Weights of the scales of N windows; 0 at scales that are not used."""
+
+    search: Array  # (N, S) n_s in sums over scales, in the search and in the fit; see :meth:`.Moments.using`
+    amplitude: Array  # (N, S) weights in a variance over the recording, at the scales of the default
+
+
+class Searched(NamedTuple):
+    """Result of the search for N windows.
 
     Attributes:
-        log_probability: (N, E) of every entry; entries that were not fitted have their starting parameters.
-        parameters: of the C chosen entries, with axes (N, C) in front.
         origins: (N, 4, 3) m, origin with the lowest norm for every linear type.
         norm: (N, 4) F at these origins.
         linear_axes: (N, 4, 3, 3) common axes of every linear type, by ascending amplitude.
         angular_axes: (N, 2, 3, 3) common axes of the rotation in ground and body, by ascending amplitude.
         starts: starting parameters of every entry, with axes (N, E) in front.
-        chosen: (N, C) codes of the fitted entries, -1 where too few are allowed, and of the exact ones.
         tilt_scale: (N,) rad, size of the tilt in the fit.
         universal: (N, 2, 3) axes of a universal joint: a of the ground and b of the body.
-
-    Without a comparison of entries, the probabilities are NaN, and ``parameters`` and ``chosen`` are None.
     """
 
-    log_probability: Array
-    parameters: Parameters | None
     origins: Array
     norm: Array
     linear_axes: Array
     angular_axes: Array
     starts: Parameters
-    chosen: Array | None
     tilt_scale: Array
     universal: Array
 
 
-def choose_scales(moments: Moments, noise: Array, scales: Array) -> tuple[Moments, Array]:
-    """Weight the scales to use; see :meth:`.Moments.using`.
+class Compared(NamedTuple):
+    """Result of the comparison of entries for N windows.
 
-    Args:
-        moments: moments of N windows at all scales.
-        noise: (N, 2) m and rad, white noise of every component of a pose.
-        scales: () int, the sum of the block widths to use, in samples; 0 or less for the default.
+    Attributes:
+        log_probability: (N, E) of every entry; entries that were not fitted have their starting parameters.
+        chosen: (N, C) codes of the fitted entries, -1 where too few are allowed, and of the exact ones.
+        parameters: of the C chosen entries, with axes (N, C) in front.
+    """
 
-    Returns:
-        Moments at the scales to use, and the weights (N, S) in a variance of those of the default: the smooth
-        part and every scale at which the motion exceeds the noise.
+    log_probability: Array
+    chosen: Array
+    parameters: Parameters
+
+
+def choose_scales(moments: Moments, noise: Array, scales: Array) -> ScaleWeights:
+    """Choose the scales: by default the smooth part, and all at which the motion exceeds the noise.
+
+    The noise (N, 2), m and rad, is the white noise of every component of a pose; ``scales`` () int, the sum
+    of the block widths to use, in samples, is 0 or less for the default.
     """
     last = moments.details.shape[1] - 1
-    index = jnp.arange(last + 1)
-    keep = jnp.ones_like(moments.details, bool)
+    index, firsts = jnp.arange(last + 1), []
     for group, rows in enumerate((z.POSITION, z.TURN_BODY)):
         size = jnp.trace(moments.products[:, :, rows, rows], axis1=2, axis2=3)
         level = 3 * jnp.square(ABOVE_NOISE * noise[:, group, None]) * moments.white
         above = (size > level) & (moments.details > 0)
-        # a group (position or rotation) that never exceeds the noise selects no scale
-        first = jnp.where(jnp.any(above, axis=1), jnp.argmax(above, axis=1), 0)
-        keep = keep & (index >= first[:, None])
+        firsts.append(jnp.min(jnp.where(above, index, 2 * last + _LATE), axis=1))
+    low, high = jnp.minimum(*firsts), jnp.maximum(*firsts)
+    # a group (position or rotation) that exceeds its noise much later than the other one only drifts
+    first = jnp.where(low > last, 0, jnp.where(high > low + _LATE, low, high))
+    keep = index >= first[:, None]
     # the last details and the smooth part always count
     details = jnp.sum(moments.details[:, :-1] > 0, axis=1)
     keep = keep | (index >= details[:, None] - 1)
     asked = ((moments.width.astype(jnp.int32) & scales) > 0) & (index < last)
-    return moments.using(jnp.where(scales > 0, asked, keep)), moments.scale_weight * keep
+    search = moments.using(jnp.where(scales > 0, asked, keep)).details
+    return ScaleWeights(search, moments.scale_weight * keep)
 
 
-def search_windows(features: Features, used: Moments, box: Array, origins: Array | None) -> Solved:
+def search_windows(features: Features, used: Moments, box: Array, origins: Array | None) -> Searched:
     """Search the origins of the linear types, and the starting parameters of the entries of the table.
 
-    Args:
-        features: features of N windows.
-        used: moments of all scales, with the weights of the scales in the search and in the fit.
-        box: (N,) m, half the width of the cube in which origins lie.
-        origins: (N, 4, 3) m, origin of every linear type from another search; None to search here.
+    The moments have the weights of the scales in the search and in the fit, and ``box`` (N,), m, is half the
+    width of the cube in which origins lie. Origins (N, 4, 3), m, are those of another search.
     """
     products = jnp.moveaxis(used.products, (0, 1), (3, 2))
     details, used_weight = used.details.T, used.scale_weight.T
@@ -118,63 +125,52 @@ def search_windows(features: Features, used: Moments, box: Array, origins: Array
     turns = jnp.stack([products[r, r] for r in (z.TURN_GROUND, z.TURN_BODY)], axis=3)
     axes = common_frames(paths, turns, products[z.POSITION, z.POSITION], details, used_weight)
     crossed = universal_axes(axes, products, details, jnp.moveaxis(features.mean_matrix, 0, -1))
-    starts = entry_starts(place, axes, crossed, all_scales, mean)
-    return Solved(
-        log_probability=jnp.full((len(box), len(ENTRIES)), jnp.nan, products.dtype),
-        parameters=None,
+    starts = entry_starts(place, axes, all_scales, mean)
+    return Searched(
         origins=_windows_first(place),
         norm=norm.T,
         linear_axes=_windows_first(axes.linear),
         angular_axes=_windows_first(axes.angular),
         starts=_start_parameters(starts, mean),
-        chosen=None,
         tilt_scale=_tilt_scale(axes, all_scales),
         universal=jnp.moveaxis(jnp.stack(crossed), -1, 0),
     )
 
 
-class _Evaluated(NamedTuple):
-    """C entries of every window: codes (C, N), unknowns, amplitudes, evidence."""
+class _Round(NamedTuple):
+    """C entries of every window: codes (C, N), unknowns, and results of :func:`.evaluate_entries`."""
 
     codes: Array
     at: Unknowns
-    amplitudes: Amplitudes
-    evidence: Array
+    values: Evaluated
 
 
 def compare_windows(
     features: Features,
     moments: Moments,
-    used: Moments,
-    scale_weight: Array,
+    weights: ScaleWeights,
     noise: Array,
     box: Array,
+    searched: Searched,
     allowed: Array,
-    solved: Solved,
-) -> dict[str, Any]:
-    """Fit and compare the entries: the fields of :class:`Solved` that the search leaves open.
+) -> Compared:
+    """Fit and compare the entries of N windows.
 
-    Args:
-        features: features of N windows.
-        moments: moments of all scales.
-        used: the same moments, with the weights of the scales in the search and in the fit.
-        scale_weight: (N, S) weights of the scales in an amplitude.
-        noise: (N, 2) m and rad, white noise of every component of a pose.
-        box: (N,) m, half the width of the cube in which origins lie.
-        allowed: (E,) bool, entries that may be chosen.
-        solved: result of the search.
+    The moments are those of all scales, ``noise`` (N, 2), m and rad, is the white noise of every component of
+    a pose, ``box`` (N,), m, is half the width of the cube in which origins lie, and ``allowed`` (E,) bool has
+    the entries that may be chosen.
     """
-    products = jnp.moveaxis(used.products, (0, 1), (3, 2))
+    products = jnp.moveaxis(moments.products, (0, 1), (3, 2))
     mean = jnp.moveaxis(features.mean_rotation, 0, -1)
-    place = jnp.moveaxis(solved.origins, (0, 1), (2, 1))
+    place = jnp.moveaxis(searched.origins, (0, 1), (2, 1))
     moments_of_paths = entry_moments(products, mean)
     at_origins = moments_of_paths.at(jnp.pad(place, ((0, 0), (0, 1), (0, 0))))  # the position has no origin
-    crossed = jnp.moveaxis(solved.universal, 0, -1)
-    windows = window_statistics(features, moments, scale_weight, at_origins.path, noise, place, crossed)
-    starts = Unknowns(*(jnp.moveaxis(leaf, (0, 1), (-1, -2)) for leaf in solved.starts))
+    crossed = jnp.moveaxis(searched.universal, 0, -1)
+    windows = window_statistics(features, moments, weights.amplitude, at_origins.path, noise, place, crossed)
+    starts = Unknowns(*(jnp.moveaxis(leaf, (0, 1), (-1, -2)) for leaf in searched.starts))
     turned = times(mean[:, :, None], starts.frame)
     starts = starts._replace(frame=jnp.where(in_body(TABLE)[:, None], starts.frame, turned))
-    details, number = used.details.T, len(ENTRIES)
+    details, number = weights.search.T, len(ENTRIES)
     # entries without parameters, such as "fixed", are exact from the start
     exact = np.flatnonzero(TABLE.parameters == 0).astype(np.int32)
     fittable = allowed & (TABLE.parameters > 0)
@@ -182,7 +178,7 @@ def compare_windows(
     blocks = -(-number // CANDIDATES)
     codes = jnp.asarray(np.resize(np.arange(number, dtype=np.int32), (blocks, CANDIDATES)))
 
-    def screen(r: Array, _: _Evaluated) -> tuple[Array, Forms, Unknowns]:
+    def screen(r: Array, _: _Round) -> tuple[Array, Forms, Unknowns]:
         """Return the next block of entries, at their starting parameters."""
         block = codes[r]
         paths = jnp.asarray(TABLE.path)[block]
@@ -190,30 +186,26 @@ def compare_windows(
         forms = jax.tree.map(lambda leaf: jnp.take(leaf, paths, axis=-2, mode="clip"), at_origins)
         return jnp.broadcast_to(block[:, None], (CANDIDATES, details.shape[1])), forms, start
 
-    def fit(_: Array, rounds: _Evaluated) -> tuple[Array, Forms, Unknowns]:
+    def fit(_: Array, rounds: _Round) -> tuple[Array, Forms, Unknowns]:
         """Fit the entries that are most probable at their starting parameters."""
-        screened: _Evaluated = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
+        screened: _Round = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
         rank = jnp.where(fittable[:, None], log_probability(screened, _EVERY, _PLACED), -jnp.inf)
         best = jax.lax.top_k(rank.T, CANDIDATES)[1].T
         entries = entries_at(best)
         start = jax.tree.map(lambda leaf: pick(leaf, best, -2), starts)
         of_entries = moments_of_paths.pick(entries.path)
-        limits = solved.tilt_scale[None], box[None]
+        limits = searched.tilt_scale[None], box[None]
         fitted = problem_of(of_entries, details[:, None], entries, *limits, entries.tied)
         at = in_registers(descend, 2)(fitted, start, steps)
         return best, of_entries.at(at.origin), at
 
-    def log_probability(entries: _Evaluated, table: Table, standard: np.ndarray) -> Array:
-        return compare(entries.evidence, entries.amplitudes, entries.at.pitch, table, standard)
+    def log_probability(entries: _Round, table: Table, standard: np.ndarray) -> Array:
+        return compare(entries.values, entries.at.pitch, table, standard)
 
-    def evaluate(codes: Array, forms: Forms, at: Unknowns) -> _Evaluated:
-        amplitudes, evidence = evaluate_entries(forms, at, entries_at(codes), windows)
-        # entries whose evidence is not a number, for example where nothing moves, are improbable
-        unknown = jnp.isnan(evidence) | jnp.any(jnp.isnan(amplitudes.log_variance), axis=0)
-        amplitudes = jax.tree.map(lambda leaf: jnp.where(jnp.isnan(leaf), 1, leaf), amplitudes)
-        return _Evaluated(codes, at, amplitudes, jnp.where(unknown, -jnp.inf, evidence))
+    def evaluate(codes: Array, forms: Forms, at: Unknowns) -> _Round:
+        return _Round(codes, at, evaluate_entries(forms, at, entries_at(codes), windows))
 
-    def next_round(r: Array, rounds: _Evaluated) -> _Evaluated:
+    def next_round(r: Array, rounds: _Round) -> _Round:
         """Screen a block of entries in every round but the last, which fits the most probable entries."""
         found = evaluate(*jax.lax.cond(r < blocks, screen, fit, r, rounds))
         put = partial(jax.lax.dynamic_update_index_in_dim, index=r, axis=0, allow_negative_indices=False)
@@ -224,13 +216,11 @@ def compare_windows(
     rounds = jax.lax.fori_loop(0, blocks + 1, next_round, rounds)
     # entries that were not fitted keep their evidence from screening
     screened = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
-    fitted: _Evaluated = jax.tree.map(lambda leaf: leaf[blocks], rounds)
+    fitted: _Round = jax.tree.map(lambda leaf: leaf[blocks], rounds)
     chosen = jnp.take(fittable, fitted.codes, mode="clip")
-    fitted = fitted._replace(
-        codes=jnp.where(chosen, fitted.codes, -1), evidence=jnp.where(chosen, fitted.evidence, -jnp.inf)
-    )
+    fitted = _without(fitted, ~chosen)._replace(codes=jnp.where(chosen, fitted.codes, -1))
     same = screened.codes[:, None] == fitted.codes[None]  # (E, C, N)
-    screened = screened._replace(evidence=jnp.where(jnp.any(same, axis=1), -jnp.inf, screened.evidence))
+    screened = _without(screened, jnp.any(same, axis=1))
     both = materialize(
         jax.tree.map(lambda one, other: jnp.concatenate([one, other], axis=-2), screened, fitted)
     )
@@ -244,7 +234,13 @@ def compare_windows(
         lambda one, other: jnp.concatenate([one, other[..., exact, :]], axis=-2), fitted.at, starts
     )
     parameters = _parameters(at, entries_at(codes), windows)
-    return {"log_probability": everywhere.T, "parameters": parameters, "chosen": codes.T}
+    return Compared(everywhere.T, codes.T, parameters)
+
+
+def _without(entries: _Round, gone: Array) -> _Round:
+    """Make some entries impossible."""
+    evidence = jnp.where(gone, -jnp.inf, entries.values.evidence)
+    return entries._replace(values=entries.values._replace(evidence=evidence))
 
 
 def _flat(leaf: Array) -> Array:

@@ -20,7 +20,6 @@ from reframe_jax.model.steps import Unknowns
 from reframe_jax.model.table import ENTRIES, TABLE
 
 Array = jax.Array
-_STARTS = ("turn", "cross", "normal", "along", "path", "lift")
 _CROSS_STEPS = 12  # steps of the search for the axes of a universal joint
 _ALONG = 0.6  # sine of the angle below which two axes count as nearly parallel
 
@@ -60,16 +59,10 @@ def _sizes(axes: Array, form: Array) -> Array:
 def common_frames(paths: Array, turns: Array, position: Array, details: Array, scale_weight: Array) -> Axes:
     """Compute, for every window, the axes that the covariances of all scales have in common.
 
-    Args:
-        paths: (3, 3, S, 4, N) covariances, at S scales of N windows, of the displacement of the origin with
-            the lowest norm, for each of the four linear types.
-        turns: (3, 3, S, 2, N) covariances of the rotation, in the axes of the ground and of the body.
-        position: (3, 3, S, N) covariances of the position of {b}.
-        details: (S, N) number of independent details of every scale.
-        scale_weight: (S, N) weight of every scale in the variance over the recording.
-
-    Returns:
-        The axes as columns, in ascending order of the amplitude.
+    The arguments are covariances at S scales: of the displacement of the origin with the lowest norm, for
+    each linear type (3, 3, S, 4, N); of the rotation, in axes of the ground and of the body (3, 3, S, 2, N);
+    and of the position (3, 3, S, N). Then, for every scale (S, N), the number of independent details, and the
+    weight in the variance over the recording. Axes are columns, in ascending order of the amplitude.
     """
     whole = total(position * scale_weight, 2)
     single = jnp.zeros_like(position).at[:, :, 0].set(whole)
@@ -86,11 +79,8 @@ def common_frames(paths: Array, turns: Array, position: Array, details: Array, s
 def universal_axes(axes: Axes, products: Array, details: Array, mean_matrix: Array) -> tuple[Array, Array]:
     """Find the axes a of the ground and b of the body, (3, N), whose angle changes least.
 
-    Args:
-        axes: common axes.
-        products: (27, 27, S, N) moments of the features.
-        details: (S, N) independent details of every scale.
-        mean_matrix: (3, 3, N) mean of all R.
+    The products (27, 27, S, N) are the moments of the features, ``details`` (S, N) the independent details of
+    every scale, and ``mean_matrix`` (3, 3, N) is the mean of all R.
     """
     forms = rotation_forms(products)
     ground, body = axes.angular[:, :, AngularType.G], axes.angular[:, :, AngularType.B]
@@ -102,17 +92,11 @@ def universal_axes(axes: Axes, products: Array, details: Array, mean_matrix: Arr
     return pick(a, best, 1)[:, 0], pick(b, best, 1)[:, 0]
 
 
-def entry_starts(
-    origins: Array, axes: Axes, universal: tuple[Array, Array], moments: Array, mean: Array
-) -> Unknowns:
+def entry_starts(origins: Array, axes: Axes, moments: Array, mean: Array) -> Unknowns:
     """Choose the starting unknowns of every entry, in the axes of its main body, with (E, N) last.
 
-    Args:
-        origins: (3, 4, N) m, origin with the lowest norm for every linear type.
-        axes: common axes.
-        universal: axes a of the ground and b of the body, (3, N).
-        moments: (27, 27, N) moments of the features over all scales.
-        mean: (3, 3, N) mean rotation.
+    The origins (3, 4, N), m, have the lowest norm of every linear type; the moments (27, 27, N) are those
+    over all scales, and ``mean`` (3, 3, N) is the mean rotation.
     """
     kinds = np.array([entry.kind for entry in ENTRIES], np.int32)
     own = axes.linear[:, :, kinds]
@@ -120,12 +104,11 @@ def entry_starts(
     main = axes.angular[:, 2, AngularType.B]
     # entries whose rotations are held are written with the position, in the ground
     turn = jnp.where(fixed, times(mean, main)[:, None], main[:, None])
-    choices = {"turn": turn, "normal": own[:, 0], "along": own[:, 2]}
-    choices |= {"path": axes.path[:, 2, None], "lift": axes.path[:, 0, None], "cross": turn}
-    which = np.array([_STARTS.index(entry.start) for entry in ENTRIES])[:, None]
+    choices = {"normal": own[:, 0], "along": own[:, 2]}
+    choices |= {"path": axes.path[:, 2, None], "lift": axes.path[:, 0, None]}
     axis = turn
-    for number, name in enumerate(_STARTS):
-        axis = jnp.where(which == number, choices[name], axis)
+    for name, other in choices.items():
+        axis = jnp.where(np.array([entry.start == name for entry in ENTRIES])[:, None], other, axis)
     # the axis of least motion of the type that is not nearly parallel to the axis
     cosine = total(axis[:, None] * own, 0)
     good = 1 - cosine * cosine > _ALONG**2

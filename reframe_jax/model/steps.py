@@ -69,10 +69,7 @@ def tilted_axis(tilt: Array) -> Array:
 def _held(form: Array, held: Array, details: Array) -> tuple[Array, Array]:
     """Compute n_s C_s^-1 of held columns (3, 3, S, B, ...), zero elsewhere, and the sum of n_s log det C_s.
 
-    Args:
-        form: (3, 3, S, B, ...) covariances C_s of B blocks.
-        held: (3, B, ...) bool.
-        details: (S, ...).
+    The covariances C_s of B blocks are (3, 3, S, B, ...), ``held`` is (3, B, ...) bool, and n_s (S, ...).
     """
     both = (held[:, None] & held[None])[:, :, None]
     small = jnp.finfo(form.dtype).tiny ** 0.5

@@ -21,12 +21,8 @@ def masked_median(values: jax.Array, counted: jax.Array) -> jax.Array:
 
     The function bisects the logarithm in elementwise passes, because sorting many short rows is slow.
 
-    Args:
-        values: (M, ...) non-negative values.
-        counted: (M, ...) bool, the values to use.
-
-    Returns:
-        (...) medians; 0 where no value is selected.
+    The values (M, ...) are not negative, and ``counted`` (M, ...) bool selects them; a median (...) without
+    any is 0.
     """
     top = jnp.maximum(jnp.max(jnp.where(counted, values, 0), axis=0), jnp.finfo(values.dtype).tiny)
     # relative to the largest value, float32 is exact enough, and comparisons are twice as fast

@@ -3,7 +3,7 @@
 Between two poses, the logarithm of the step is the integral of the twist plus brackets that mix its
 components (the expansion of Magnus). The brackets are computed from derivatives of the twist and taken out: a
 component of the twist that is always zero stays zero. The error is of the sixth order in the sample time, or
-of the fourth order for very different sample times.
+of the third order for times that jitter or come in bursts.
 
 Arrays have components first, then twists in {b} and in {g}, then samples, and windows last.
 """
@@ -107,10 +107,8 @@ def sections_of(path: Array, steps: Array, count: Array) -> Array:
     The twist within a gap is not known, so that its integral is known only from pose to pose of a section. If
     the body moves no further in long steps than in others, poses arrived in bursts, and there are no gaps.
 
-    Args:
-        path: (12, K+1, N) rotations, and positions in m.
-        steps: (K, N) s, time steps.
-        count: (N,) number of poses; the others are padding.
+    The path (12, K+1, N) has rotations, and positions in m; the steps are (K, N), s, and ``count`` (N,) is
+    the number of poses before the padding.
     """
 
     def number(_: None) -> Array:

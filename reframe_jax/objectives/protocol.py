@@ -1,4 +1,4 @@
-"""What an objective is: the members that solvers use, and checks of these members."""
+"""The protocol of objectives: the members that solvers use, and checks of these members."""
 
 from typing import Any, Literal, Protocol, runtime_checkable
 

@@ -12,7 +12,7 @@ from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.export.common import format_probability
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.frames import AngularFrame, LinearFrame
-from reframe_jax.identification.results import Identification
+from reframe_jax.identification.results import Identification, check_single
 from reframe_jax.identification.velocities import frame_velocities
 from reframe_jax.joints.joint import two_digits
 from reframe_jax.motion.kinematics import Discretization
@@ -54,8 +54,7 @@ def plot_identification(
     """
     figure = new_figure(10, 7.2)
     figure.set_layout_engine("none")
-    if np.shape(found.status_code):
-        raise ValueError("A batch has several frames: index one window first, found[i].")
+    check_single(found)
     if found.status.failed:
         raise ValueError(f"There is nothing to draw: {found.status.message}")
     host = jax.device_get(found)

@@ -18,8 +18,8 @@ def with_chance(cells: Cells) -> Cells:
     """Return cells with the fields ``chance`` and ``progress``.
 
     The rows are fitted to a surrogate motion with the times, speeds and stops of the recording, in which no
-    coordinate is held: positions are the sum of three rotated copies of other parts of the recording, and
-    rotations are a fourth copy.
+    coordinate is held: positions are the sum of three rotated copies of the recording, at delays of 0,
+    1/3 and 2/3 of its length, and rotations are a copy at a delay of 1/2.
     """
     number = cells.linear.shape[1]
     # positions and lever times rotations, (N, 6) m, and the distances between cells, (N - 1,)

@@ -86,7 +86,7 @@ def segment_many(
             first recording that :func:`segment` refuses; the message names the recording.
     """
     number = len(recordings)
-    each_dt = [dt] * number if dt is None or isinstance(dt, int | float) else list(dt)
+    each_dt = list(dt) if np.iterable(dt) else [dt] * number
     each_times = [None] * number if times is None else list(times)
     for name, values in (("times", each_times), ("dt", each_dt)):
         if len(values) != number:

@@ -36,8 +36,8 @@ class Segment:
         stop: index after the last pose.
         label: number of the constraint, from 0 in order of appearance. Segments with the same constraint have
             the same label; a still body has the label -1.
-        identification: identification of the poses; None for a still body, and for segments that are too
-            short.
+        identification: identification of the poses; None for a still body, for segments that are too
+            short, and for those without a result.
     """
 
     start: int
@@ -52,9 +52,9 @@ class Segment:
 
     @property
     def name(self) -> str:
-        """Name of the constraint; "Still", or "Too short to identify"."""
+        """Name of the constraint; "Still", or "Not identified" if there is no identification."""
         if self.identification is None:
-            return "Still" if self.resting else "Too short to identify"
+            return "Still" if self.resting else "Not identified"
         return str(self.identification.name)
 
 

@@ -1,4 +1,4 @@
-"""What a solver is for ``identify``, its box, and helpers of solvers for batches of problems."""
+"""The protocol of solvers for ``identify``, their box, and helpers of solvers for batches of problems."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from reframe_jax.constraints.frame import Frame, body_twist, frame_arrays
 from reframe_jax.geometry.transforms import pose_exp
 from reframe_jax.identification.preparation import Prepared
-from reframe_jax.identification.results import Identification
+from reframe_jax.identification.results import Identification, check_single
 from reframe_jax.model.features import pose_features
 from reframe_jax.model.moments import scale_moments
 from reframe_jax.motion import kinematics
@@ -58,8 +58,8 @@ def next_motion(
     axes and the origin, for errors as large as in the recording.
 
     Args:
-        found: the identification of these poses by :func:`reframe_jax.identify`, of one window; its
-            constraint is assumed to be correct.
+        found: the identification of these poses by :func:`reframe_jax.identify`, of one window, with the
+            default scales; its constraint is assumed to be correct.
         poses: (K+1, 4, 4) m.
         times: (K+1,) s.
         duration: s, duration of each motion.
@@ -71,8 +71,7 @@ def next_motion(
         ValueError: for a batch, for a constraint without free axes, or if the poses differ from the poses of
             ``found``.
     """
-    if np.shape(found.status_code):
-        raise ValueError("A batch has several constraints: index one window first, found[i].")
+    check_single(found)
     free = np.flatnonzero(np.concatenate([found.angular.dof, found.linear.dof]))
     if not len(free):
         raise ValueError("The identified constraint has no free axis, so no motion is possible.")

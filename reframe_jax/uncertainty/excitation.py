@@ -87,7 +87,8 @@ def excitation(
         scales: the same as for the identification.
 
     Returns:
-        The excitation, with the leading axes of ``found``.
+        The excitation, with the leading axes of ``found``. For failed windows, and for constraints without an
+        entry in the table, all numbers are 0 and all flags False.
 
     Raises:
         ValueError: if the poses differ from the poses of ``found``.
@@ -104,7 +105,7 @@ def _window_excitations(window: Prepared, windows: Windows, _: jax.Array) -> Exc
     width = jnp.take_along_axis(window.moments.width, first[:, None], axis=1)
     products = jnp.take_along_axis(used.products, first[:, None, None, None], axis=1)[:, 0]
     gram = jnp.einsum("nif,nfg,njg->nij", weights, products, weights) / jnp.square(width)[..., None]
-    index, end = jnp.arange(window.poses.shape[1])[None], window.count[:, None]
+    index, end = jnp.arange(window.poses.shape[1])[None], window.length[:, None]
     size = jnp.maximum(end // _ENDS, 1)
     late, early = (
         jnp.einsum("np,nfp->nf", of.astype(mean_rotation.dtype), window.features.values) / size

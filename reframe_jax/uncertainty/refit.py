@@ -41,7 +41,7 @@ _IN_GROUND = np.array([path in ("GG", "BG") for path in PATHS])  # origins of en
 
 
 class Estimate(NamedTuple):
-    """What the fit starts from: fields of the :class:`Identification` of N windows."""
+    """Identified frames, from which the fit starts: fields of the :class:`Identification` of N windows."""
 
     entry_code: Array
     angular: AngularFrame
@@ -51,7 +51,7 @@ class Estimate(NamedTuple):
 
 
 class Windows(NamedTuple):
-    """What the fit of N windows needs."""
+    """Data for the fit of N windows."""
 
     box: Array  # (N,) m, half the width of the cube of origins
     moments: Moments  # of the used scales
@@ -120,7 +120,7 @@ def over_windows(
             lambda x: xp.asarray(x, array.dtype if jnp.issubdtype(x.dtype, jnp.floating) else None), estimate
         )
         arrays = take_scales(scales, array.shape[-3]), np.asarray(np.nan, array.dtype)  # scales and bounds
-        run = partial(_over_windows, *arrays, function=function, **static)
+        run = partial(_run_windows, *arrays, function=function, **static)
         if tracing:
             result = run_in_trace(run, array, steps, estimate, _CHUNK)
         else:
@@ -132,13 +132,14 @@ def _refit(scales: Array, bounds: Array, windows: Any, number: Array | None, **s
     """Prepare windows for the fit, and call the function; for the windows, see :func:`run_in_pieces`."""
     *poses, found = windows
     window = prepare(tuple(poses), number, bounds, scales, single_steps=False)
-    return _call((window, found), number, scales, **static)
+    return _call_program((window, found), number, scales, **static)
 
 
 def _call_function(windows: tuple[Prepared, Estimate], scales: Array, *, function: Any, **static: Any) -> Any:
     """Call a function of N windows for prepared windows."""
     window, found = jax.lax.stop_gradient(windows[0]), windows[1]
-    used, _ = choose_scales(window.moments, window.noise, scales)
+    weights = choose_scales(window.moments, window.noise, scales)
+    used = window.moments._replace(details=weights.search)
     mean = window.features.mean_rotation
     entry = jax.vmap(entries_at)(jnp.maximum(found.entry_code, 0))
     axes = rotation_exp(jnp.stack([found.angular.rotvec, found.linear.rotvec], axis=1))
@@ -147,8 +148,8 @@ def _call_function(windows: tuple[Prepared, Estimate], scales: Array, *, functio
     return function(window, fits, scales, **static)
 
 
-_call = Program(in_chunks(_call_function, _CHUNK), ("function", "parts"))
-_over_windows = pipeline(_refit)
+_call_program = Program(in_chunks(_call_function, _CHUNK), ("function", "parts"))
+_run_windows = pipeline(_refit)
 
 
 def refit_windows(window: Prepared, windows: Windows, scales: Array, parts: str) -> Refit:
@@ -158,11 +159,12 @@ def refit_windows(window: Prepared, windows: Windows, scales: Array, parts: str)
     six blocks.
     """
     products, details = windows.moments.products[:, None], windows.moments.details[:, None]
-    number = window.count[:, None]
+    number = window.length[:, None]
     if parts != "whole":
         moments, of_parts = _moments_of_parts(window, parts, scales == 0)
         noise = jnp.repeat(window.noise, of_parts.shape[1], axis=0)
-        more = align_scales(choose_scales(moments, noise, scales)[0], details.shape[2])
+        used = moments._replace(details=choose_scales(moments, noise, scales).search)
+        more = align_scales(used, details.shape[2])
         products, details = (
             jnp.concatenate([whole, part.reshape(len(whole), -1, *part.shape[1:])], axis=1)
             for whole, part in zip((products, details), more, strict=True)
@@ -184,7 +186,7 @@ def align_scales(moments: Moments, count: int) -> tuple[Array, Array]:
 
 def _moments_of_parts(window: Prepared, parts: str, about_mean: Array) -> tuple[Moments, Array]:
     """Moments (N * M, ...) of the parts of windows, and the number of poses in each part, (N, M)."""
-    values, count = window.features.values, window.count
+    values, count = window.features.values, window.length
     every = jnp.arange(values.shape[2], dtype=jnp.int32)
     if parts == "spans":
         first, end = (
@@ -248,7 +250,7 @@ def _fit_window(window: Windows, products: Array, details: Array, poses: Array) 
 def turn_of_frame(axes: Array, free: Array, turned: Array) -> Array:
     """Rotation vector (3,), rad, of a small rotation (3, 3), without rotations about free axes.
 
-    The axes are the columns of a matrix (3, 3); ``free`` (3,) bool tells which are free.
+    The axes are the columns of a matrix (3, 3); ``free`` (3,) bool is True for free axes.
     """
     axis = axes @ free.astype(axes.dtype)
     # a rotation about one free axis may be large

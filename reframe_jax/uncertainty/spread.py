@@ -155,11 +155,9 @@ def widen(covariance: Array, apart: Array, chance: Array, sets: np.ndarray) -> A
     a slow error can have any direction. They are added only beyond chance, by the mean squared distance of
     their set; so is the multiplication by the distance of redundant axes.
 
-    Args:
-        covariance: (9, 9) covariance of the components, for white errors.
-        apart: (P, 3, 3) differences of the components, by group.
-        chance: (P, 3, 3, 3) covariances of the differences, for white errors.
-        sets: (P,) int, 0 for redundant axes; other numbers for pairs of equally long parts.
+    The covariance (9, 9) of the components and those of the differences, ``chance`` (P, 3, 3, 3), are for
+    white errors; ``apart`` (P, 3, 3) are the differences by group, and ``sets`` (P,) int has 0 for redundant
+    axes, and other numbers for pairs of equally long parts.
     """
     # squared Mahalanobis distances, numbers of dimensions with a variance, and components in these dimensions
     values, axes, known = _principal(chance)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from reframe_jax.constraints.frame import locate_on_host
 from reframe_jax.constraints.types import AngularType
 from reframe_jax.export.table import to_table
-from reframe_jax.identification.results import Identification
+from reframe_jax.identification.results import Identification, check_single
 from reframe_jax.identification.velocities import frame_velocities
 
 
@@ -70,8 +70,7 @@ def track_window(
     drawn as an ellipsoid; by default, no ellipsoid is drawn. A ValueError is raised for a batch, poses that
     were not identified, or a matrix that is not a covariance.
     """
-    if np.shape(found.status_code):
-        raise ValueError("A batch has several frames: index one window first, found[i].")
+    check_single(found)
     host = jax.device_get(found)
     places, instants = np.asarray(poses, float), np.asarray(times, float)
     if places.shape != (*host.counted.shape, 4, 4) or instants.shape != host.counted.shape:
