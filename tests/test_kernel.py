@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reframe_jax.geometry import kernel
+from reframe_jax.geometry import components, kernel
 from reframe_jax.geometry.small import invert_symmetric, pick, solve_positive
 from reframe_jax.geometry.symmetric import INDEX_PAIRS
 from reframe_jax.model import amplitudes, crossed, rows, search, steps, table
@@ -97,9 +97,9 @@ def by_components(function, axes, *arguments):
         if leaf.ndim:
             whole = jnp.broadcast_to(leaf, leaf.shape[:-axes] + problems).reshape(*leaf.shape[:-axes], -1)
         load = (lambda index: whole[tuple(index[:-axes])]) if leaf.ndim else (lambda _: whole)
-        return kernel.components(kernel._of_one(leaf, axes), load)
+        return components.components(kernel._of_one(leaf, axes), load)
 
-    own = kernel.Components((int(np.prod(problems)),))
+    own = components.Components((int(np.prod(problems)),))
     found = own.run(program, [inputs(leaf) for leaf in leaves])
     flat, structure = jax.tree.flatten(results)
     values = [

@@ -78,8 +78,10 @@ _WORDS = {
     "B": "slide prismatic drawer",
     "C": "cylinder cylindrical",
     "D": "plane planar",
+    "K": "pin",
+    "spherical": "ball sphere",
+    "unconstrained": "free",
 }
-_WORDS |= {"K": "pin", "spherical": "ball sphere", "unconstrained": "free"}
 COMMON_WORDS = {word: label for label, words in _WORDS.items() for word in words.split()}
 """Labels of constraints, by common words for them."""
 

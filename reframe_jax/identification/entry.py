@@ -124,8 +124,7 @@ def identify_unchecked(
         reach = np.asarray(np.nan, dtype) if reach is None else jnp.asarray(reach, dtype)
         arrays = Arrays(reach, level, key, allowed, samples)
         method = Method(bool(samples == 1), exponent, discretization, solver)
-        by_probability = thresholds is None
-        program = pipeline.identify_windows if by_probability else pipeline.identify_by_thresholds
+        program = pipeline.identify_windows if thresholds is None else pipeline.identify_by_thresholds
         run = partial(program, arrays, method=method)
         if inside_a_trace:
             found = run_in_trace(run, array, steps, None, CHUNK)

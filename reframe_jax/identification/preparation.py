@@ -42,12 +42,9 @@ def prepare_windows(
 ) -> Prepared:
     """Check windows, leave out outliers, estimate the noise, and compute the moments of the features.
 
-    Args:
-        windows: (N,) number of poses in each window, after which poses are padding; poses (N, P, 4, 4), m;
-            and durations of the steps (N, K), s.
-        bounds: () m, half the width of the cube of origins; NaN for the default.
-        scales: () int, see :func:`.take_scales`. Only with -1, outliers are left out and gaps have an effect.
-        single_steps: whether the scales are 1, for a smaller program.
+    Windows are their number of poses (N,), after which poses are padding, poses (N, P, 4, 4), m, and the
+    steps (N, K), s. The bounds () m are NaN for the default. Only with scales of -1, see
+    :func:`.take_scales`, outliers are left out and gaps have an effect. With ``single_steps``, scales are 1.
     """
     count, poses, steps = windows
     status = window_status(poses, steps)

@@ -80,8 +80,8 @@ def amplitudes_of(
     # ---- less what rotations explain
     mixed = times(jnp.swapaxes(frame, 0, 1), times(joined[6:], weights))
     turns, mixed, lever = materialize((jnp.where(entry.crossed, of_crossed, turns), mixed, lever))
-    largest_lever = jnp.where(row, at.pitch**2, total(lever * unit, 0))
-    slope = times(frame, _explained_by_rotations(turns, mixed, largest_lever, entry))
+    levers = jnp.where(row, at.pitch**2, total(lever * unit, 0))
+    slope = times(frame, _explained_by_rotations(turns, mixed, levers, entry))
     weights = materialize(jnp.concatenate([weights[:6], weights[6:] - slope]))
     # ---- coordinates of each block that do not correlate
     shifts = times(jnp.swapaxes(weights, 0, 1), materialize(times(joined, weights)))
@@ -91,8 +91,8 @@ def amplitudes_of(
     turned, moved = axes[:, :, 0], axes[:, :, 1]
     directions = materialize((times(jnp.where(entry.crossed, unit, frame), turned), times(weights, moved)))
     first = (np.arange(3) == 0).reshape(third.shape)
-    of_shifts = jnp.where(row, at.pitch**2, total(moved * times(lever, moved), 0))
-    lever = jnp.concatenate([jnp.where(first & entry.crossed, sine, 1), of_shifts])
+    levers = jnp.where(row, at.pitch**2, total(moved * times(lever, moved), 0))
+    levers = jnp.concatenate([jnp.where(first & entry.crossed, sine, 1), levers])
     # ---- their variances at every scale
     scale_weight = spectra.scale_weight
     smooth = (np.arange(len(scale_weight)) == len(scale_weight) - 1).reshape(-1, *[1] * entry.apart.ndim)
@@ -100,7 +100,7 @@ def amplitudes_of(
     scales = scale_weight, spectra.details, shown
     square, spread, logs, least = _over_scales(forms, crossed, directions, entry.crossed, *scales)
     of_position = (np.arange(6) >= 3).reshape(6, *third.shape[1:])
-    noise = jnp.where(of_position, spectra.noise[0] ** 2, 0) + lever * spectra.noise[1] ** 2
+    noise = jnp.where(of_position, spectra.noise[0] ** 2, 0) + levers * spectra.noise[1] ** 2
     # the white noise is at most the variance at any scale
     noise = jnp.minimum(noise, -least) * total(scale_weight * spectra.white, 0) + 0.1 * TINY
     variance = spread / square**2
@@ -109,7 +109,7 @@ def amplitudes_of(
         noise=noise,
         variance=jnp.minimum(variance, 1) + C.amplitude_variance,
         independent=2 / jnp.maximum(variance, 0.01),
-        lever=lever,
+        lever=levers,
         log_variance=logs / total((scale_weight > 0).astype(logs.dtype), 0),
     )
 
@@ -152,7 +152,7 @@ def _products(form: Array, left: Array, right: Array) -> Array:
     return total(half * left[:, :, None], 0)
 
 
-def _explained_by_rotations(turns: Array, mixed: Array, lever: Array, entry: Table) -> Array:
+def _explained_by_rotations(turns: Array, mixed: Array, levers: Array, entry: Table) -> Array:
     """Return how much of each held translation (second index) to subtract per rotation (first), (3, 3, ...).
 
     An error d of a held rotation displaces the origin of the body by d x c if it acts about a point at -c,
@@ -173,7 +173,7 @@ def _explained_by_rotations(turns: Array, mixed: Array, lever: Array, entry: Tab
     matrix = (times(across, size) + _RIDGE * total(size, 0) + TINY)[:, None] * unit - across * errors
     centre = solve_symmetric(materialize(matrix), -axial(turned[:, None] * mixed))
     centre = centre * jnp.minimum(1, C.error_centre / jnp.sqrt(total(centre * centre, 0) + TINY))
-    most = C.scale_error * jnp.sqrt(lever)
+    most = C.scale_error * jnp.sqrt(levers)
     scale = jnp.clip(mixed[2] / (turns[2, 2] + TINY), -most, most)
     # the third rotation is free if there is a scale error
     only = unit[:, 2:] * (turned[0] * ~entry.held[2])

@@ -64,12 +64,9 @@ def held_likelihood(nodes: Nodes, sizes: Array) -> Array:
 
 
 def free_evidence(nodes: Nodes, sizes: Array, slope: Array) -> Array:
-    """Compute the log evidence (k, g, ...) of k free coordinates, for a grid g of squared sizes.
+    """Compute the log evidence (k, g, ...) of k free coordinates, for squared sizes (k or 1, g, ...).
 
-    Args:
-        nodes: nodes of the k coordinates.
-        sizes: (k or 1, g, ...) m^2 or rad^2.
-        slope: (...) slope B of the log density below the size.
+    The slope B (...) is that of the log density below the size.
     """
     squares, weights, below, top = _spread(nodes, sizes.ndim)
     over = squares / (sizes + squares)

@@ -28,6 +28,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.constraints.types import LinearType
 from reframe_jax.geometry.small import largest, materialize, total
 from reframe_jax.model.amplitudes import Amplitudes
 from reframe_jax.model.constants import EVIDENCE as C
@@ -35,8 +36,6 @@ from reframe_jax.model.densities import Nodes, amplitude_nodes, free_evidence, h
 from reframe_jax.model.table import Table
 
 Array = jax.Array
-
-_TYPES = 4  # entries in which nothing is held, one for each linear type
 
 # ---- grids of the logarithms of sizes
 _ERRORS = 1.4 * np.arange(-2, 6)  # log of slow errors over their median
@@ -149,7 +148,7 @@ def compare(entries: Evaluated, pitch: Array, table: Table, standard: np.ndarray
     # them get a power mean of their probabilities, less the cost of such a motion
     nothing = ~jnp.any(table.held, axis=0) & jnp.isfinite(value)
     powers = jnp.where(nothing, C.nothing_power * value, -jnp.inf)
-    mean = (jax.nn.logsumexp(powers, axis=0) - log(_TYPES)) / C.nothing_power
+    mean = (jax.nn.logsumexp(powers, axis=0) - log(len(LinearType))) / C.nothing_power
     value = jnp.where(nothing, mean - C.nothing_held, value)
     return value - jax.nn.logsumexp(value, axis=0)
 

@@ -69,14 +69,10 @@ def scale_moments(
 ) -> Moments:
     """Compute the second moments of features at every scale.
 
-    Args:
-        values: (N, F, P) features.
-        counted: (N, P) bool, poses that count; a block counts if half of its poses do.
-        count: (N,) number of poses before the padding.
-        section: (N, P) int, section between gaps that a pose belongs to; None for one section.
-            Details are differences within a section, and the smooth part is relative to the section's mean.
-        about_mean: () bool, whether to use no details, and displacements from the mean as the smooth part;
-            the order of the poses then has no effect.
+    Values are features (N, F, P). A block counts if half of its poses do, ``counted`` (N, P) bool; ``count``
+    (N,) is the number of poses before the padding. Details are differences within a section between gaps,
+    (N, P) int, and the smooth part is relative to the mean of the section; None for one section. With
+    ``about_mean`` () bool, there are no details, and displacements from the mean are the smooth part.
     """
     poses, dtype = values.shape[2], values.dtype
     weight = counted.astype(dtype)[:, None]

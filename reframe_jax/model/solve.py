@@ -91,9 +91,10 @@ def choose_scales(moments: Moments, noise: Array, scales: Array) -> ScaleWeights
         size = jnp.trace(moments.products[:, :, rows, rows], axis1=2, axis2=3)
         level = 3 * jnp.square(ABOVE_NOISE * noise[:, group, None]) * moments.white
         above = (size > level) & (moments.details > 0)
+        # beyond all scales for a group (positions or rotations) that never exceeds its noise
         firsts.append(jnp.min(jnp.where(above, index, 2 * last + _LATE), axis=1))
     low, high = jnp.minimum(*firsts), jnp.maximum(*firsts)
-    # a group (position or rotation) that exceeds its noise much later than the other one only drifts
+    # a group that exceeds its noise much later than the other one only drifts
     first = jnp.where(low > last, 0, jnp.where(high > low + _LATE, low, high))
     keep = index >= first[:, None]
     # the last details and the smooth part always count

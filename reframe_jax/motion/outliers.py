@@ -162,12 +162,9 @@ def _ends(path: Array, noise: Array, count: Array) -> Array:
 def _are_apart(around: Array, known: Array, run: Array, bend: Array | float, noise: Array) -> Array:
     """Return whether poses disagree with those around them, (...) bool.
 
-    Args:
-        around: (10, 6, ...) poses and times around the run: four for the cubic, and two to test it.
-        known: (2, ...) bool, whether the last two exist.
-        run: (10, M, ...) first, middle and last pose of the run; or its only pose.
-        bend: (2, ...) fourth difference across the ends of the run, with the size of noise, the smaller one.
-        noise: (2, N) size of the noise of positions and rotations.
+    Poses and times around the run are (10, 6, ...): four for the cubic, and two to test it, if ``known`` (2,
+    ...). Those of the run are (10, M, ...): first, middle and last, or only one. ``bend`` (2, ...) is the
+    smaller fourth difference across the ends of the run; it and ``noise`` (2, N) have the size of noise.
     """
     nodes, tested = around[:, :4], jnp.concatenate([around[:, 4:], run], axis=1)
     # Lagrange's cubic; poses outside of the path have no different times
