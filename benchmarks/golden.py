@@ -10,6 +10,7 @@ Groups of recordings (:mod:`benchmarks.golden_cases` has the simulations):
 - ``soft``: the same constraints with slow errors of 0.1 to 3 mm and 0.5 to 10 mrad, at 20 Hz;
 - ``repeatable``: the same with errors that depend on the pose only, as those of an arm with wrong lengths;
 - ``correlated``: the same with errors that are correlated over some samples, at 50 Hz;
+- ``planar``: a tracker of planar motion measures two coordinates and one angle;
 - ``frames``: the same, with the body's frame 1 m from where its errors act, or with inverse poses;
 - ``stops``: the same constraints, with white noise or slow errors, moved in three parts with rests between;
 - ``faults``: the same constraints, with white noise and poses that jump, repeat or are missing;

@@ -23,7 +23,8 @@ of the ground and half in the axes of the body; their size is the rms of each co
 not as long as its model says: random quadratic functions of the displacement, with the same sizes.
 Correlated errors are white noise after a filter with a time constant of 60 ms, or vibrations of 7 to 11 Hz.
 In the group ``frames``, errors act about the origin of the body before its frame moves 1 m away, or before
-the poses are inverted, with the origin of the ground 1 m away from its place in other groups.
+the poses are inverted, with the origin of the ground 1 m away from its place in other groups. In the group
+``planar``, a tracker of planar motion measures two coordinates and one angle; the others are zero.
 """
 
 import zlib
@@ -212,6 +213,12 @@ def faults_specs() -> Iterator[Spec]:
         yield Spec("faults", label, "measured", 20, white, seed=40, fault=fault)
 
 
+def planar_specs() -> Iterator[Spec]:
+    errors = [(sigma, 0.0, 0.0) for sigma in SIGMAS[2:4]] + [(ENCODER[0], *slow) for slow in SLOW[:3]]
+    for seed, (white, slow, turn), label in product((90, 91), errors, "ABDEFIJ"):
+        yield Spec("planar", label, "measured", 20, white, slow, turn, seed)
+
+
 def paper_specs() -> Iterator[Spec]:
     for motion, sigma, label in product(("exciting", "paper"), SIGMAS[:4], TWELVE):
         yield Spec("paper", label, motion, 10, sigma)
@@ -227,6 +234,7 @@ PLANS = {
     "frames": frames_specs,
     "stops": stops_specs,
     "small": small_specs,
+    "planar": planar_specs,
     "faults": faults_specs,
     "nothing": nothing_specs,
     "paper": paper_specs,
@@ -302,7 +310,9 @@ def _simulate_chunk(specs: Sequence[Spec]) -> list[Case]:
         strong = bool(_weakest_axis(spec, moved[taken]) >= (20 if spec.slow else 10))
         paper = spec.group == "paper"
         case = Case(key, spec.group, spec.label, poses, times, names, truth, strong, paper)
-        cases.append(_in_other_frames(case, spec.fault, random[i]) if spec.group == "frames" else case)
+        if spec.group == "frames":
+            case = _in_other_frames(case, spec.fault, random[i])
+        cases.append(_in_plane(case) if spec.group == "planar" else case)
     return cases
 
 
@@ -442,6 +452,25 @@ def _in_other_frames(case: Case, kind: str, rng: np.random.Generator) -> Case:
     label = _INVERSE.get(case.label, case.label)
     names = (_UNNAMED.get(label, CONSTRAINTS[label].name),)
     return replace(case, poses=np.linalg.inv(poses), label=label, expected=names, truth=truth)
+
+
+def _in_plane(case: Case) -> Case:
+    """Let the axis of rotation be z in both bodies, and leave out the height, the roll and the pitch."""
+    truth, rotation = case.truth, case.poses[:, :3, :3]
+    axes = truth.angular
+    if np.isnan(axes).any():  # a slide: any plane that contains its direction
+        axis = np.cross(truth.linear[GROUND], np.roll(truth.linear[GROUND], 1))
+        axes = np.array([axis, rotation[0].T @ axis]) / np.linalg.norm(axis)
+    turn = np.array([Rotation.align_vectors([[0, 0, 1]], [each])[0].as_matrix() for each in axes])
+    seen = turn[GROUND] @ rotation @ turn[BODY].T
+    angle = Rotation.from_rotvec(np.arctan2(seen[:, 1, 0], seen[:, 0, 0])[:, None] * [0, 0, 1])
+    position = case.poses[:, :3, 3] @ turn[GROUND].T * [1, 1, 0]
+    angular, linear, point = (
+        np.einsum("bij,bj->bi", turn, each) for each in (truth.angular, truth.linear, truth.point)
+    )
+    directions = turn @ truth.directions @ turn.transpose(0, 2, 1)
+    truth = Truth(angular, linear, point, directions, truth.line)
+    return replace(case, poses=make_poses(angle.as_matrix(), position), truth=truth)
 
 
 def _slow_error(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:

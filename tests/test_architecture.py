@@ -19,6 +19,7 @@ from jax.typing import DTypeLike
 from numpy.typing import ArrayLike
 
 import reframe_jax
+from reframe_jax import tuning
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "reframe_jax"
@@ -56,6 +57,10 @@ def imports(file: Path) -> set[str]:
 def test_the_table_names_every_package() -> None:
     parts = {path.stem for path in PACKAGE.iterdir() if path.name[0] not in "_." and path.suffix != ".typed"}
     assert sorted(layers()) == sorted(parts)
+
+
+def test_there_are_at_most_forty_tuned_constants() -> None:
+    assert len([*tuning.MOTION, *tuning.EVIDENCE, *tuning.SEGMENTS]) <= 40
 
 
 def test_imports_point_down_the_table() -> None:

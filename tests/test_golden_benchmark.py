@@ -345,6 +345,16 @@ def test_names_do_not_depend_on_the_choice_of_frames():
     assert np.mean(confident) >= 0.9
 
 
+def test_coordinates_that_a_planar_tracker_does_not_measure_show_no_errors():
+    """Height, roll and pitch are always zero, and the slow errors of the rest are millimetres."""
+    cases = made.simulate([*made.planar_specs()])
+    assert all(np.ptp(case.poses[:, 2], axis=0).max() < 1e-12 for case in cases)
+    right, confident = right_and_confident(cases)
+    assert right[confident].all()
+    assert np.mean(right) >= 0.95
+    assert np.mean(confident) >= 0.85
+
+
 def test_other_frames_move_the_truth_with_the_poses():
     """Without noise, moved and inverse frames have no larger errors."""
     specs = [

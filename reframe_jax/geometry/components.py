@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.extend import core
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +88,8 @@ class Components:
         values |= dict(zip(program.jaxpr.invars, arguments, strict=True))
 
         def read(variable: Any) -> np.ndarray:
-            return np.asarray(variable.val) if isinstance(variable, core.Literal) else values[variable]
+            literal = hasattr(variable, "val")
+            return np.asarray(variable.val) if literal else values[variable]
 
         for equation in program.jaxpr.eqns:
             found = self._equation(equation, [read(variable) for variable in equation.invars])

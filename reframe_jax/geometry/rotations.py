@@ -14,6 +14,7 @@ from math import factorial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 __all__ = [
     "hat",
@@ -25,6 +26,7 @@ __all__ = [
     "vee",
 ]
 
+_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(0, 2, 1)  # [k, i, j]: of e_k x e_j along e_i
 _TERMS = 10  # terms of each series below one radian; the first omitted term is < 1e-17
 _SINC = tuple((-1) ** order / factorial(2 * order + 1) for order in range(_TERMS))
 _VERSINE = tuple((-1) ** order / factorial(2 * order + 2) for order in range(_TERMS))
@@ -54,10 +56,7 @@ def _angle(rotvec: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
 
 def hat(vector: jax.Array) -> jax.Array:
     """Return the matrices [w]x (..., 3, 3) of vectors w (..., 3), such that ``hat(w) @ x == cross(w, x)``."""
-    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
-    zero = jnp.zeros_like(x)
-    rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))
-    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+    return jnp.sum(vector[..., None, None] * jnp.asarray(_CROSS, vector.dtype), axis=-3)
 
 
 def _polynomial(vector: jax.Array, first: jax.Array, second: jax.Array) -> jax.Array:

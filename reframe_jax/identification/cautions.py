@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.identification.classify import Thresholds
-from reframe_jax.model.constants import ABOVE_NOISE
+from reframe_jax.tuning import EVIDENCE
 
 _FEW = 12  # largest number of velocities at which many windows are identified wrongly
 _CLOSE = 1.5  # largest ratio of a velocity to a threshold, or its inverse, at which they count as close
@@ -32,7 +32,7 @@ class Caution(IntFlag):
     UNORDERED = 2048
     """The poses are not in the order of a motion, such as separate touches or shuffled rows."""
     NOISY_SCALE = 8192
-    """The motion exceeds the noise too little at a time scale that the caller chose (see ``ABOVE_NOISE``)."""
+    """The motion exceeds the noise by less than ``above_noise`` at a time scale that the caller chose."""
 
 
 def caution_codes(
@@ -90,8 +90,8 @@ def caution_sentences(
         sentences.append(uncertain + ("" if Caution.FEW_VELOCITIES in found else remedy))
     if Caution.NOISY_SCALE in found:
         sentences.append(
-            f"At a chosen time scale, the motion is less than {ABOVE_NOISE:g} times the noise, which "
-            "can distort the frame. scales='auto' leaves out such scales."
+            f"At a chosen time scale, the motion is less than {EVIDENCE.above_noise:g} times the noise, "
+            "which can distort the frame. scales='auto' leaves out such scales."
         )
     close = [
         f"{group} axis {axis + 1} ({speeds[i][axis]:.3g} {unit})"

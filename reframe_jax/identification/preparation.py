@@ -59,8 +59,10 @@ def prepare_windows(
     rotation, position = kinematics.split_poses(poses)
     path = jnp.concatenate([rotation.reshape(9, *own.shape), position])
     unit = jax.lax.stop_gradient(unit_of_rounding(position, own))
-    # rounding hides the error of a constant component: without it, the component would count as exact
-    constant = jax.lax.stop_gradient(constant_components(position, own))
+    # rounding hides the error of a constant component: without it, the component would count as exact, unless
+    # the tracker measures no tilt either
+    constant = jax.lax.stop_gradient(constant_components(path, own))
+    constant = constant[9:] & ~jnp.any(constant[:9], axis=0)
     random = np.random.default_rng(0).uniform(-0.5, 0.5, (poses.shape[1], 3)).T[:, :, None]
     hidden = jnp.where(constant[:, None], unit * jnp.asarray(random, position.dtype), 0)
     # sections are those of the recording: outliers that are left out make no gap

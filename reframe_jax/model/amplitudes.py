@@ -26,10 +26,10 @@ from reframe_jax.geometry.small import (
     total,
     unit_matrix,
 )
-from reframe_jax.model.constants import EVIDENCE as C
 from reframe_jax.model.rows import Forms
 from reframe_jax.model.steps import Unknowns, axis_row
 from reframe_jax.model.table import Table
+from reframe_jax.tuning import EVIDENCE as C
 
 Array = jax.Array
 TINY = 1e-18  # m^2 and rad^2, added to every variance
@@ -107,7 +107,7 @@ def amplitudes_of(
     return Amplitudes(
         square=square,
         noise=noise,
-        variance=jnp.minimum(variance, 1) + C.amplitude_variance,
+        variance=jnp.minimum(variance, 1),
         independent=2 / jnp.maximum(variance, 0.01),
         lever=levers,
         log_variance=logs / total((scale_weight > 0).astype(logs.dtype), 0),
@@ -172,7 +172,6 @@ def _explained_by_rotations(turns: Array, mixed: Array, levers: Array, entry: Ta
     size = total(errors * unit, 1)
     matrix = (times(across, size) + _RIDGE * total(size, 0) + TINY)[:, None] * unit - across * errors
     centre = solve_symmetric(materialize(matrix), -axial(turned[:, None] * mixed))
-    centre = centre * jnp.minimum(1, C.error_centre / jnp.sqrt(total(centre * centre, 0) + TINY))
     most = C.scale_error * jnp.sqrt(levers)
     scale = jnp.clip(mixed[2] / (turns[2, 2] + TINY), -most, most)
     # the third rotation is free if there is a scale error

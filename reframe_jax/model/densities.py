@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.geometry.small import total as add
-from reframe_jax.model.constants import EVIDENCE as C
+from reframe_jax.tuning import EVIDENCE as C
 
 Array = jax.Array
 _NODES = 4  # nodes of a likelihood; they integrate a Gaussian to within 3 %

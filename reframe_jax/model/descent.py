@@ -63,7 +63,7 @@ def levenberg_marquardt(
 def _damped_step(here: Local, damping: Array) -> Array:
     unit = unit_matrix(damping.dtype, damping.ndim + 1)
     size = total(here.diagonal * unit, 1)
-    lift = damping * size + 1e-10 * total(size, 0, 1) + jnp.finfo(size.dtype).tiny ** 0.5
+    lift = damping * size + 100  # a step of 0.1 rad or m costs half a unit of the objective
     damped = materialize(here.diagonal + unit * lift[:, None])
     back = jnp.swapaxes(here.coupling, 0, 1)
     others = jnp.concatenate([back, here.gradient[:, None, 1:]], axis=1)  # (3, 4, groups - 1, ...)

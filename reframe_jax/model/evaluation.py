@@ -32,6 +32,7 @@ class WindowStatistics(NamedTuple):
     mean: Array  # (3, 3, N) mean rotation
     rotations: Array  # (3, 3, M, N) rotations of M poses of the window
     levers: Array  # (3, 3, 5, N) m^2, squared sensitivity to a rotation of every translation in ``PATHS``
+    varies: Array  # (2, 1, N) bool, whether positions and rotations vary along all axes
     universal: "UniversalMoments"  # of the coordinates of a universal joint
 
 
@@ -62,12 +63,13 @@ def window_statistics(
     rotations = jnp.moveaxis(features.to_rotation[:, :, z.TURN_GROUND], 0, -1).transpose(1, 2, 0, 3)
     levers = _squared_levers(features, rotations, origins)
     turns = jnp.moveaxis(moments.products[:, 0, z.TURN_BODY, z.TURN_BODY], 0, -1)
-    noise = _limited_noise(paths[:, :, 0], turns, levers, moments.details[:, 0], noise.T)
+    noise, varies = _limited_noise(paths[:, :, 0], turns, levers, moments.details[:, 0], noise.T)
     return WindowStatistics(
         spectra=Spectra(*(s[:, None] for s in (moments.details.T, scale_weight.T, moments.white.T, noise))),
         mean=jnp.moveaxis(features.mean_rotation, 0, -1),
         rotations=rotations,
         levers=levers,
+        varies=varies[:, None],
         universal=_universal_moments(universal_axes[0], universal_axes[1], moments.products, features),
     )
 
@@ -91,7 +93,7 @@ def evaluate_entries(forms: Forms, at: Unknowns, entries: Table, windows: Window
     det = jnp.where(crossed, universal.sine[:, None], det)
     consistency = total(jnp.log(det + 1e-6), 0) / len(det)
     tilt = jnp.where(entries.tied, jnp.sqrt(total(at.tilt**2, 0) + jnp.finfo(det.dtype).tiny), 0)
-    evidence = log_evidence(amplitudes, tilt, entries, spectra.noise)
+    evidence = log_evidence(amplitudes, tilt, entries, spectra.noise, windows.varies)
     # entries whose evidence is not a number, for example where nothing moves, are improbable
     evidence = jnp.where(jnp.isnan(evidence), -jnp.inf, evidence)
     numbers = amplitudes.square, amplitudes.independent, amplitudes.log_variance
@@ -130,13 +132,16 @@ def _squared_levers(features: Features, rotations: Array, origins: Array) -> Arr
     return unit_matrix(arms.dtype, 2) * trace(squares) - squares
 
 
-def _limited_noise(paths: Array, turns: Array, levers: Array, details: Array, noise: Array) -> Array:
+def _limited_noise(
+    paths: Array, turns: Array, levers: Array, details: Array, noise: Array
+) -> tuple[Array, Array]:
     """White noise (2, N), m and rad, of positions and rotations: no more than the axes of least motion show.
 
     The least variance along any axis is at most 3 / tr(C^-1) for the covariance C. A part of it, at most the
     noise of rotations times the squared lever, comes from rotations. The moments of the differences of
     consecutive poses are ``paths`` (3, 3, 5, N), m^2, for every translation, and ``turns`` (3, 3, N), rad^2;
-    ``details`` (N,) is their number, 0 if the poses have no order.
+    ``details`` (N,) is their number, 0 if the poses have no order. The second result, (2, N) bool, is whether
+    positions and rotations vary along all axes.
     """
     forms = jnp.concatenate([paths, turns[:, :, None]], axis=2)
     unit = jnp.broadcast_to(unit_matrix(forms.dtype, 2), turns[:, :, None].shape)
@@ -146,4 +151,5 @@ def _limited_noise(paths: Array, turns: Array, levers: Array, details: Array, no
     varies = 3 / trace(inverse) > _CONSTANT  # a planar tracker, for example, does not measure all directions
     shown = jnp.max(jnp.where(varies, jnp.stack([of_position, of_rotation]), 0), axis=1)
     # the differences have twice the variance of the noise
-    return jnp.where(details > 0, jnp.minimum(noise, jnp.sqrt(3 / (2 * shown) + 1e-16)), noise)
+    limited = jnp.where(details > 0, jnp.minimum(noise, jnp.sqrt(3 / (2 * shown) + 1e-16)), noise)
+    return limited, varies[-2:]

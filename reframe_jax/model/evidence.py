@@ -31,12 +31,13 @@ import numpy as np
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.geometry.small import largest, materialize, total
 from reframe_jax.model.amplitudes import Amplitudes
-from reframe_jax.model.constants import EVIDENCE as C
 from reframe_jax.model.densities import Nodes, amplitude_nodes, free_evidence, held_likelihood, times_roots
 from reframe_jax.model.table import Table
+from reframe_jax.tuning import EVIDENCE as C
 
 Array = jax.Array
 
+_EXACT = 1e-16  # m^2 or rad^2, mean square below which a coordinate is constant
 # ---- grids of the logarithms of sizes
 _ERRORS = 1.4 * np.arange(-2, 6)  # log of slow errors over their median
 _TURNS = np.array([-4, -2.5, -1, -0.5, 0, 0.5, 1, 2.5])  # log of free rotations over their median
@@ -48,8 +49,8 @@ def _motions() -> np.ndarray:
     # the usual sizes and the unusual ones; a node has the weight of the interval around it
     prior = np.zeros((len(_TURNS), len(_SHIFTS)))
     for fraction, spread in ((1 - C.unusual, 1.0), (C.unusual, C.unusual_spread)):
-        turns = np.exp(-0.5 * (_TURNS / (spread * C.turn_spread)) ** 2) * np.gradient(_TURNS)
-        levers = np.exp(-0.5 * ((_SHIFTS - _TURNS[:, None]) / (spread * C.lever_spread)) ** 2)
+        turns = np.exp(-0.5 * (_TURNS / (spread * C.motion_spread)) ** 2) * np.gradient(_TURNS)
+        levers = np.exp(-0.5 * ((_SHIFTS - _TURNS[:, None]) / (spread * C.motion_spread)) ** 2)
         shifts = levers * np.gradient(_SHIFTS)
         prior += fraction * (turns / turns.sum())[:, None] * shifts / shifts.sum(axis=1, keepdims=True)
     return prior
@@ -67,14 +68,18 @@ def _slow_errors() -> np.ndarray:
 _MOTIONS, _SLOW_ERRORS = _motions(), _slow_errors()
 
 
-def log_evidence(amplitudes: Amplitudes, tilt: Array, entry: Table, noise: Array) -> Array:
+def log_evidence(amplitudes: Amplitudes, tilt: Array, entry: Table, noise: Array, varies: Array) -> Array:
     """Compute the log evidence (...) of the coordinates, with the sizes of errors and motions integrated out.
 
     The tilt (...), rad, is the angle between the axis in {b} and in {g}; 0 for entries without a common axis.
-    The noise (2, ...), m and rad, is white noise, which raises the prior of slow errors.
+    The noise (2, ...), m and rad, is white noise, which raises the prior of slow errors. Where positions or
+    rotations do not vary along all axes, ``varies`` (2, ...) bool, as those of a planar tracker, constant
+    coordinates were not measured: they show no errors.
     """
     nodes = materialize(amplitude_nodes(amplitudes.square, amplitudes.noise, amplitudes.variance))
-    value = _errors(nodes, amplitudes.lever, tilt, entry.held, noise) + _moves(nodes, amplitudes, entry.held)
+    exact = ~jnp.repeat(varies[::-1], 3, axis=0) & (amplitudes.square < _EXACT)
+    errors = _errors(nodes, amplitudes.lever, tilt, entry.held & ~exact, noise)
+    value = errors + _moves(nodes, amplitudes, entry.held)
     return value.astype(amplitudes.square.dtype)
 
 
@@ -91,7 +96,7 @@ def _errors(nodes: Nodes, lever: Array, tilt: Array, held: Array, noise: Array) 
     lever, nodes = materialize((lever.astype(jnp.float32)[:, None], times_roots(nodes)))
     turns = jnp.where(held[:3, None], held_likelihood(nodes.rows(slice(0, 3)), e_r * lever[:3]), 1)
     ratio = e_r / (e_r + jnp.square(tilt).astype(jnp.float32))
-    turns = materialize(turns[0] * turns[1] * turns[2] * ratio**C.tilt_above)
+    turns = materialize(turns[0] * turns[1] * turns[2] * ratio**3 * jnp.sqrt(ratio))
     sizes = e_t[None, :, None] + (e_r * lever[3:])[:, None]
     shifts = jnp.where(held[3:, None, None], held_likelihood(nodes.rows(slice(3, 6)), sizes), 1)
     value = materialize(turns * shifts[0] * shifts[1] * shifts[2]).reshape(-1, *tilt.shape)
@@ -141,7 +146,7 @@ def compare(entries: Evaluated, pitch: Array, table: Table, standard: np.ndarray
     worth = jnp.minimum(jnp.where(jnp.isfinite(independent), independent, 1.0), C.worth)
     size = total(_raised(entries.log_variance, table, best), 0)
     value = evidence - worth * (0.5 * size - entries.consistency)
-    value = value - jnp.log(table.variants) - C.per_parameter * table.parameters
+    value = value - jnp.log(table.variants) - table.parameters
     value = value + jnp.where(table.pitch, _screw(entries, pitch, worth), 0)
     value = jnp.where(evidence > -jnp.inf, value, -jnp.inf)
     # entries without held coordinates describe the same motion in the coordinates of different types: all of

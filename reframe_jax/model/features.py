@@ -89,9 +89,8 @@ def _sensitivity(values: jax.Array) -> tuple[jax.Array, jax.Array]:
     unit = jnp.broadcast_to(jnp.eye(3, dtype=values.dtype), rotation.shape)
     zero = jnp.zeros_like(unit)
     inverse = jnp.swapaxes(rotation, -1, -2)
-    # R exp(d): every row r of R changes by r x d ... in components, R_il [e_c]_lj
-    hats = hat(jnp.eye(3, dtype=values.dtype))
-    turned = jnp.einsum("...il,clj->...ijc", rotation, hats).reshape(*values.shape[:-1], 9, 3)
+    # R exp(d): every row r of R changes by r x d
+    turned = hat(rotation).reshape(*values.shape[:-1], 9, 3)
     to_position = jnp.concatenate([unit, jnp.zeros_like(turned), inverse, zero, inverse, zero, unit], axis=-2)
-    lever = jnp.einsum("...ij,...jk->...ik", hat(p), rotation)
+    lever = jnp.cross(p[..., None], rotation, axis=-2)
     return to_position, jnp.concatenate([zero, turned, hat(q), unit, zero, rotation, lever], axis=-2)

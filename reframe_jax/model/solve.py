@@ -16,7 +16,6 @@ from reframe_jax.constraints.types import LinearType
 from reframe_jax.geometry.kernel import in_registers
 from reframe_jax.geometry.small import materialize, pick, sandwich, times, total
 from reframe_jax.model import features as z
-from reframe_jax.model.constants import ABOVE_NOISE
 from reframe_jax.model.evaluation import WindowStatistics, evaluate_entries, window_statistics
 from reframe_jax.model.evidence import Evaluated, compare
 from reframe_jax.model.features import Features
@@ -27,9 +26,9 @@ from reframe_jax.model.search import lowest_origins, norm_at, polynomials, unexp
 from reframe_jax.model.starts import Axes, common_frames, entry_starts, universal_axes
 from reframe_jax.model.steps import Unknowns, descend, path_of
 from reframe_jax.model.table import ENTRIES, LINEAR_KINDS, ROWS, TABLE, Table, entries_at
+from reframe_jax.tuning import EVIDENCE as C
 
 Array = jax.Array
-_LATE = 2  # octaves between the smallest scales of both groups beyond which one of them only drifts
 CANDIDATES = 7  # entries that are fitted; with poor starting parameters, the right one may rank only fifth
 # entries whose held coordinates do not depend on a starting origin that two directions leave undetermined
 _PLACED = np.array([len(entry.any_origin) != 2 for entry in ENTRIES])
@@ -89,13 +88,13 @@ def choose_scales(moments: Moments, noise: Array, scales: Array) -> ScaleWeights
     index, firsts = jnp.arange(last + 1), []
     for group, rows in enumerate((z.POSITION, z.TURN_BODY)):
         size = jnp.trace(moments.products[:, :, rows, rows], axis1=2, axis2=3)
-        level = 3 * jnp.square(ABOVE_NOISE * noise[:, group, None]) * moments.white
+        level = 3 * jnp.square(C.above_noise * noise[:, group, None]) * moments.white
         above = (size > level) & (moments.details > 0)
         # beyond all scales for a group (positions or rotations) that never exceeds its noise
-        firsts.append(jnp.min(jnp.where(above, index, 2 * last + _LATE), axis=1))
+        firsts.append(jnp.min(jnp.where(above, index, 2 * last + C.late), axis=1))
     low, high = jnp.minimum(*firsts), jnp.maximum(*firsts)
     # a group that exceeds its noise much later than the other one only drifts
-    first = jnp.where(low > last, 0, jnp.where(high > low + _LATE, low, high))
+    first = jnp.where(low > last, 0, jnp.where(high > low + C.late, low, high))
     keep = index >= first[:, None]
     # the last details and the smooth part always count
     details = jnp.sum(moments.details[:, :-1] > 0, axis=1)

@@ -99,13 +99,13 @@ def constant_components(values: jax.Array, counted: jax.Array, least: float = 0.
     """Return which components of vectors are constant, up to rounding errors of floating-point numbers.
 
     Args:
-        values: (3, M, N) in any unit.
+        values: (F, M, N) in any unit.
         counted: (M, N) bool, the values to use.
         least: magnitude of the numbers from which the values were computed, if that is more than the values;
             the rounding error is relative to it.
 
     Returns:
-        (3, N) bool.
+        (F, N) bool.
     """
     low = jnp.min(jnp.where(counted[None], values, jnp.inf), axis=1)
     high = jnp.max(jnp.where(counted[None], values, -jnp.inf), axis=1)

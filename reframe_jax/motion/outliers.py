@@ -23,6 +23,7 @@ from jax.typing import ArrayLike
 from reframe_jax.geometry.small import pick, total
 from reframe_jax.motion.checks import MIN_VELOCITIES
 from reframe_jax.motion.noise import masked_median
+from reframe_jax.tuning import MOTION as C
 
 __all__ = ["find_outliers", "find_repeats"]
 
@@ -30,10 +31,6 @@ Array = jax.Array
 _REST = 12  # equal poses beyond which a body is at rest; up to then, a slow tracker repeats its poses
 _LONGEST = 12  # poses of a run, at most
 _AROUND = 6  # poses around a run: four for the cubic, and two that it has to predict
-_NOISES = 4.0  # smallest distance from the cubic, in medians of its noise: six standard deviations
-_AGREE = 3.0  # the same, in distances of the two other poses from the cubic
-_SUDDEN = 0.4  # smallest distance of the ends of a run from the cubic, over that of its middle
-_JUMP = 0.12  # fourth difference across either end of a run over the distance; at least 0.24 for a jump
 _PARTS = 8  # parts of a batch of windows
 _MOST = 0.3  # largest fraction of outliers; with more, no pose is an outlier
 
@@ -76,7 +73,7 @@ def find_outliers(path: Array, steps: Array, count: Array, unit: Array, wanted: 
     size = _bends(measured)
     whole = jnp.broadcast_to(own[4:, None], (len(own) - 4, 2, own.shape[1]))
     noise = masked_median(jnp.swapaxes(size, 0, 1), whole)
-    jumps = wanted & jnp.any(own[4:] & (size > _NOISES * noise[:, None]), axis=(0, 1))
+    jumps = wanted & jnp.any(own[4:] & (size > C.noises * noise[:, None]), axis=(0, 1))
     rounding = 64 * jnp.finfo(size.dtype).eps * (1 + jnp.max(jnp.abs(measured), axis=(0, 1)))
     noise = jnp.maximum(noise, jnp.stack([unit / 2, jnp.zeros_like(unit)])) + rounding
     # only windows with jumps are searched, in parts, so that the other windows of the batch cost nothing
@@ -142,7 +139,7 @@ def _runs(path: Array, noise: Array, count: Array, number: Array) -> Array:
         known = jnp.stack(jnp.broadcast_arrays(start >= 3, start + number + 3 <= count))
         return possible & _are_apart(near[:, :6], known, near[:, 6:], bend, noise)
 
-    jumps = possible & (bend > _NOISES * noise[:, None])
+    jumps = possible & (bend > C.noises * noise[:, None])
     return lax.cond(jnp.any(jumps), compare, lambda _: jnp.zeros_like(possible), None)
 
 
@@ -178,13 +175,13 @@ def _are_apart(around: Array, known: Array, run: Array, bend: Array | float, noi
     distance = _lengths(tested[:9] - predicted)  # (2, 2 + M, ...)
     others, first, middle, last = distance[:, :2], *(distance[:, i] for i in (2, 2 + len(run[0]) // 2, -1))
     ends = jnp.minimum(first, last)
-    noise = _NOISES * noise.reshape(2, *[1] * (ends.ndim - 2), -1)
+    noise = C.noises * noise.reshape(2, *[1] * (ends.ndim - 2), -1)
     limit = noise * jnp.sqrt(jnp.max(gain[2:], axis=0))
     # the error of the cubic is proportional to the product of the distances: between gaps it is larger
     error = jnp.maximum(1, jnp.maximum(jnp.abs(product[2]), jnp.abs(product[-1])) / jnp.abs(product[:2]))
-    agree = _AGREE * jnp.max(jnp.where(known, others * error, 0), axis=1)
-    apart = (ends > limit) & (ends > agree) & (ends > _SUDDEN * middle)
-    return jnp.any(apart & (bend > noise) & (bend > _JUMP * ends), axis=0)
+    agree = C.agree * jnp.max(jnp.where(known, others * error, 0), axis=1)
+    apart = (ends > limit) & (ends > agree) & (ends > C.sudden * middle)
+    return jnp.any(apart & (bend > noise) & (bend > C.jump * ends), axis=0)
 
 
 def _bends(path: Array) -> Array:

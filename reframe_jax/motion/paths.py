@@ -13,13 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.geometry.small import axial, cross, materialize, pick, times, total, trace
+from reframe_jax.tuning import MOTION
 
 Array = jax.Array
 _STENCIL = 7  # samples in the derivative of the twist
 _NEAR = 2  # nodes on either side in a derivative across such steps
 _GAIN = 100.0  # of the noise of poses in such a derivative times the squared step, above which it shrinks
 _EVEN = 5  # longest over shortest step, above which exact derivatives across them amplify noise
-_GAP_MOTION = 2.0  # RMS motion in gaps over that in other steps; less, if poses arrive in bursts
 _USUAL = 0.9  # fraction of the steps that are no gaps; a gap is _EVEN times longer than the longest of them
 
 
@@ -117,7 +117,7 @@ def sections_of(path: Array, steps: Array, count: Array) -> Array:
         square = jnp.square(jnp.diff(path, axis=1))
         moved = jnp.stack([jnp.sum(part, axis=0) for part in jnp.split(square, [9])])
         across, usual = (jnp.sum(moved * of, axis=1) / jnp.sum(of, axis=0) for of in (gaps, own & ~gaps))
-        gaps = gaps & jnp.any(across > _GAP_MOTION**2 * usual, axis=0)
+        gaps = gaps & jnp.any(across > MOTION.gap**2 * usual, axis=0)
         return jnp.cumsum(gaps, axis=0, dtype=jnp.int32)
 
     even = jnp.all(_are_even(steps.T))  # then, there is no gap

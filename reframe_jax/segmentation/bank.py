@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from reframe_jax.segmentation.cells import Cells
-from reframe_jax.segmentation.constants import SEGMENTS as C
 from reframe_jax.segmentation.rows import Fits, fit_spans
+from reframe_jax.tuning import SEGMENTS as C
 
 _KEPT = 4  # models of a span
 _BATCH = 400  # spans per batch: their moments fit the cache of a processor
@@ -82,7 +82,7 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
     both = np.maximum(references - (linear[:, :, None] + angular[:, None]), 0)
     both = np.where(np.isfinite(linear[:, :, None] + angular[:, None]), both, -np.inf)
     # stillness: no coordinate moves, for a longer time than at a turning point
-    both[:, 3, 3] = np.where(count >= C.still_time, 0, -np.inf)
+    both[:, 3, 3] = np.where(count >= 1, 0, -np.inf)
     for size, reference, bound in zip((fits.size, every), cells.reference, cells.bound(C.still), strict=True):
         both[:, 3, 3] += 3 * np.log(reference) - _log_sizes(size, bound)[0][:, 3]
     turned = np.where(np.isfinite(angular), np.maximum(references[:, 0] - angular, 0), 0)

@@ -11,7 +11,8 @@ import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import rotation_vectors
 from reframe_jax.identification.preparation import REACH
-from reframe_jax.segmentation.constants import SEGMENTS as C
+from reframe_jax.tuning import EVIDENCE
+from reframe_jax.tuning import SEGMENTS as C
 
 _CHUNK = 20_000  # poses per chunk, which bounds the memory
 _FEWEST = 6  # smallest number of independent values in a recording
@@ -160,7 +161,7 @@ def _motion_scale(
     """Correlation time, s; sizes (2,) of the motion (translation and lever times rotation) and rotation."""
     number = len(position)
     lags = np.unique(np.round(2 ** np.arange(0, np.log2(max(2, number / 3)), 0.5)).astype(int))
-    scale = np.array([1, C.lever])
+    scale = np.array([1, EVIDENCE.lever])
     still = 6 * float(np.sum(np.square(scale * noise)))
 
     def displacements(lag: int) -> np.ndarray:
@@ -182,9 +183,9 @@ def _motion_scale(
         fastest = int(np.argmax(speed))
         slow = np.flatnonzero(speed[fastest:] < speed[fastest] / 2)
         lag = lags[fastest + slow[0]] if len(slow) else lags[-1]
-        time = float(np.clip(C.motion_time * lag * step, step, time))
+        time = float(np.clip(lag / 2 * step, step, time))  # 1 / (2 B) for motion of bandwidth B
     # a displacement between independent poses has twice the variance of a pose
     square = displacements(max(1, min(round(2 * time / step), number - 2)))
     motion = max(float(np.sqrt(np.quantile(square.sum(axis=1), 0.8) / 6)), 1e-6)
     turn = float(np.sqrt(np.quantile(square[:, 1], 0.8) / 6))
-    return time, np.array([motion, max(turn, motion / _LEAST_TURN) / C.lever])
+    return time, np.array([motion, max(turn, motion / _LEAST_TURN) / EVIDENCE.lever])

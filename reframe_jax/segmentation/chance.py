@@ -6,8 +6,9 @@ import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import nearest_rotations
 from reframe_jax.segmentation.cells import Cells, path_features
-from reframe_jax.segmentation.constants import SEGMENTS as C
 from reframe_jax.segmentation.rows import fit_spans
+from reframe_jax.tuning import EVIDENCE
+from reframe_jax.tuning import SEGMENTS as C
 
 _SPANS = 100  # spans per length
 _WINDOWS = 2, 4, 8, 16  # cells, lengths of the windows in which motions are compared
@@ -23,8 +24,8 @@ def with_chance(cells: Cells) -> Cells:
     """
     number = cells.linear.shape[1]
     # positions and lever times rotations, (N, 6) m, and the distances between cells, (N - 1,)
-    path = np.concatenate([cells.linear[1, :, ::4], C.lever * cells.angular[1]], axis=1)
-    noise = 6 * float(np.sum(np.square(cells.floor * (1, C.lever))))
+    path = np.concatenate([cells.linear[1, :, ::4], EVIDENCE.lever * cells.angular[1]], axis=1)
+    noise = 6 * float(np.sum(np.square(cells.floor * (1, EVIDENCE.lever))))
     speed = np.sqrt(np.maximum(np.sum(np.diff(path, axis=0) ** 2, axis=1) - noise, 0))
     stops = find_stops(speed)
     lengths = 2 ** np.arange(2, max(3, min(10, int(np.log2(number)) + 1)))
@@ -89,7 +90,7 @@ def _elsewhere(stops: np.ndarray, start: np.ndarray, length: int, delay: int, nu
             warped = np.interp(span, own, other)
             warped += np.minimum(span - own[0], 0) + np.maximum(span - own[-1], 0)
             close = abs(warped[0] - at[0]) < C.cells  # not the span itself, or another copy
-            alike = max(ratio.max(), 1 / ratio.min()) < C.stretch
+            alike = max(ratio.max(), 1 / ratio.min()) < C.alike
             if close and alike and warped[0] >= 0 and warped[-1] < number:
                 at = warped
         times.append(at)
@@ -119,7 +120,7 @@ def _progress(path: np.ndarray, speed: np.ndarray) -> np.ndarray:
         return np.asarray((gone[length - 1 :] - gone[: len(path) - length + 1]) / amplitude)
 
     lengths = [length for length in _WINDOWS if length <= len(path)]
-    usual = np.maximum.accumulate([np.quantile(travel(length), C.usual) for length in lengths])
+    usual = np.maximum.accumulate([np.median(travel(length)) for length in lengths])
     longest = lengths[-1]
     here = np.pad(travel(longest), (longest // 2, (longest - 1) // 2), mode="edge")
     return np.concatenate([[0], np.cumsum(np.interp(here, usual, np.array(lengths) / longest))])

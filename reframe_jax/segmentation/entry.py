@@ -19,10 +19,10 @@ from reframe_jax.motion.checks import Status, window_status
 from reframe_jax.segmentation.bank import best_scores, fit_models, misfit
 from reframe_jax.segmentation.cells import Cells, make_cells, path_features
 from reframe_jax.segmentation.chance import with_chance
-from reframe_jax.segmentation.constants import SEGMENTS as C
 from reframe_jax.segmentation.pieces import Piece, find_pieces, join_pieces, label_pieces
 from reframe_jax.segmentation.results import Boundary, Segment, Segmentation
 from reframe_jax.segmentation.sampling import fill_gaps, find_left_out
+from reframe_jax.tuning import SEGMENTS as C
 
 _INTERVAL = 0.025, 0.975  # quantiles of the interval of a border
 _FEWEST = 8  # fewest poses of a segment that can be identified

@@ -7,9 +7,9 @@ import numpy as np
 
 from reframe_jax.segmentation.bank import Bank, best_scores, choose_models, fit_models
 from reframe_jax.segmentation.cells import Cells
-from reframe_jax.segmentation.constants import SEGMENTS as C
 from reframe_jax.segmentation.rows import Fits, fit_spans
 from reframe_jax.segmentation.sequence import cover, likeliest
+from reframe_jax.tuning import SEGMENTS as C
 
 _SHORTEST, _LONGEST = 8, 512  # cells in a window
 _ROUNDS = 6  # most rounds of fits to the pieces of the best sequence
@@ -127,7 +127,7 @@ def _join_one(
             continue
         trials = []
         if own.model is None:
-            if time < C.still_time:
+            if time < 1:
                 trials.append((min(i, *beside), max(i, *beside), [one.model]))
             trials.append((min(i, j), max(i, j), [one.model]))
         else:
@@ -137,7 +137,7 @@ def _join_one(
                 return [*pieces[: min(i, j)], joined, *pieces[max(i, j) + 1 :]]
             if own.held == one.held:
                 trials.append((min(i, j), max(i, j), [own.model, one.model]))
-            state = time >= C.still_time if len(beside) == 1 else pieces[2 * i - j].still
+            state = time >= 1 if len(beside) == 1 else pieces[2 * i - j].still
             if own.still and not state:
                 trials.append((min(i, *beside), max(i, *beside), [one.model]))
         for first, last, models in trials:
@@ -163,7 +163,7 @@ def _together(cells: Cells, start: int, stop: int, models: list[Bank]) -> Piece 
         (rotations, size[:, 3:], fits.turn[0], cells.floor[1]),
     ):
         # slow errors of a tracker affect different rows in different spans: the largest row decides
-        if count and fitted[:, :count].max(axis=1).min() > max(C.same * own[:, :count].max(), 2 * floor):
+        if count and fitted[:, :count].max(axis=1).min() > max(C.alike * own[:, :count].max(), 2 * floor):
             return None
     same = np.flatnonzero(np.all(found.held == models[0].held, axis=1))
     return Piece(start, stop, found.take(same[:1]) if len(same) else models[0])
@@ -209,4 +209,4 @@ def _holds(features: np.ndarray, rows: np.ndarray, count: int, floor: float, spa
         np.stack([np.std(z[span] @ w[:count].T, axis=0).max() for z, w in zip(features, rows, strict=True)])
         for span in spans
     )
-    return bool(np.any(np.maximum(own, other) <= max(C.same * own.min(), 2 * floor)))
+    return bool(np.any(np.maximum(own, other) <= max(C.alike * own.min(), 2 * floor)))

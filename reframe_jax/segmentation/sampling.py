@@ -7,7 +7,7 @@ import numpy as np
 from reframe_jax.geometry.numpy_rotations import nearest_rotations
 from reframe_jax.motion.noise import unit_of_rounding
 from reframe_jax.motion.outliers import find_outliers, find_repeats
-from reframe_jax.segmentation.constants import SEGMENTS as C
+from reframe_jax.tuning import MOTION
 
 _BLOCK, _MARGIN = 512, 16  # poses of a block, and poses at its ends that count in the next block
 _BLOCKS = 8  # blocks at a time: one program serves recordings of any length
@@ -49,7 +49,7 @@ def fill_gaps(
     missing = np.maximum(np.rint(spans / step).astype(int) - 1, 0) * (spans < longest)
     missing[[0, -1]] = 0  # there is one pose on one side
     gaps, moved = np.flatnonzero(missing), np.linalg.norm(np.diff(poses, axis=0), axis=(1, 2))
-    if moved[gaps].sum() < C.missed * (moved[gaps - 1] + moved[gaps + 1]).sum() / 2:
+    if moved[gaps].sum() < MOTION.gap * (moved[gaps - 1] + moved[gaps + 1]).sum() / 2:
         missing[:] = 0  # no poses are missing: the times are those of arrival, in bursts
     source = np.repeat(np.arange(len(times)), np.append(1, missing + 1))
     number = np.arange(1, len(source) + 1) - np.searchsorted(source, source)

@@ -1,14 +1,18 @@
 """A local minimizer of any objective by an Optax gradient transformation."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
-import optax
 
 from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.protocol import BatchSteps, Box
+
+if TYPE_CHECKING:
+    import optax
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,8 @@ class OptaxSteps(BatchSteps):
     steps: int = 60
 
     def _minimise_one(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        import optax  # takes a tenth of the time of importing this package
+
         transformation = optax.with_extra_args_support(self.transformation)
 
         def value_of(z: jax.Array) -> jax.Array:
