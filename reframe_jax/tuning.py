@@ -18,7 +18,7 @@ class Motion(NamedTuple):
     sudden: float = 0.4  # smallest distance of the ends of a run from the cubic, over that of its middle
     # fourth difference across either end of a run over the distance; at least 0.24 for a jump
     jump: float = 0.12
-    gap: float = 2.0  # RMS motion in gaps over that in other steps; less, if poses arrive in bursts
+    gap: float = 2.0  # motion in gaps over that in other steps; less, if poses arrive in bursts
 
 
 class Evidence(NamedTuple):
