@@ -20,7 +20,6 @@ from benchmarks.bounds import Bound
 from benchmarks.determined import Determination
 from benchmarks.dual_annealing import rotation_matrix, sampled_velocities, solve
 from reframe_jax.geometry.rotations import rotation_log
-from reframe_jax.identification.classify import degrees_of_freedom
 from reframe_jax.simulation import metrics
 
 __all__ = ["LINE_FITS", "QUANTITIES", "Line", "Scores", "Windows", "anneal", "line_scores", "scores"]
@@ -200,7 +199,7 @@ def _replaced(
     """Replace the optima of a frame and its candidates: rotation vectors, RMS and norms of every type."""
     rotvec, rms, norms = optima
     winner, rows = jnp.argmin(norms, axis=1), jnp.arange(len(norms))
-    dof = degrees_of_freedom(rms, threshold)
+    dof = (rms > threshold).astype(jnp.int32)
     tied = jnp.arange(norms.shape[1])[None] == winner[:, None]
     part = replace(part, type_code=winner, rotvec=rotvec[rows, winner], dof=dof[rows, winner], tied=tied)
     return part, replace(candidates, rotvec=rotvec, rms=rms, dof=dof, norm=norms)

@@ -413,8 +413,10 @@ def test_options_reach_the_simulation(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_simulations_that_cannot_be_written(tmp_path: Path, capsys: Captured) -> None:
     arguments = ["simulate", "--no-cache", "--constraint", "K", "--out", str(tmp_path / "a.txt")]
-    assert program.main([*arguments, "--duration", "1"]) == 1
-    assert capsys.readouterr().err.startswith("reframe-jax: error: ")
+    with pytest.raises(SystemExit) as stopped:
+        program.main([*arguments, "--duration", "1"])
+    assert stopped.value.code == 2
+    assert "--out must end in .csv, .npz, not 'a.txt'" in capsys.readouterr().err
 
 
 def test_the_catalogue_is_listed(capsys: Captured) -> None:

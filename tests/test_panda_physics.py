@@ -60,7 +60,7 @@ def test_hand_pulls_beside_the_place_and_shakes(monkeypatch: pytest.MonkeyPatch)
     """A tool at rest where it should be feels a constant pull aside, and a tremor, of the sizes given."""
     frame = frame_arrays(panda.frame_on_arm("B"))
     rotation, position = panda.forward_kinematics(jnp.asarray(panda.PANDA.home))
-    still = panda.Motion(jnp.zeros(6), jnp.zeros(6), rotation, position, jnp.eye(6), jnp.eye(6), jnp.zeros(6))
+    still = panda.Motion(jnp.zeros(6), rotation, position, jnp.eye(6), jnp.eye(6), jnp.zeros(6))
     pose = transforms.make_pose(rotation, position)
     times = jnp.arange(1.0, 21.0, 0.1)
 

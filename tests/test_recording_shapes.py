@@ -693,7 +693,8 @@ def test_a_large_motion_in_another_unit_is_not_cut(tmp_path: Path, rng: np.rando
         (
             "t,x [mm],y [mm],z [mm],qx,qy,qz,qw",
             0.02,
-            "mm; if they are in m, correct the unit in the file.",
+            "mm; if they are in m, correct the unit in the file, or give unit (--unit) if the file states "
+            "none.",
         ),
         (
             "t,x,y,z,qx,qy,qz,qw",

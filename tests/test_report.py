@@ -155,6 +155,13 @@ def test_a_window_in_words() -> None:
     assert lines[-1] == "Noise   0.12 mm, 0.081 deg; blocks of 1 sample"
 
 
+def test_a_result_is_printed_in_a_line() -> None:
+    one = identification(entries={codes_of("A")[0]: 0.97})
+    assert repr(one) == "<Identification: Revolute joint (probability 0.97)>"
+    assert repr(batch(one, one, one)) == "<Identification of (3,) windows: 3 Revolute joint>"
+    jax.make_jaxpr(lambda code: (repr(replace(one, status_code=code)), code)[1])(0)  # without an error
+
+
 @pytest.mark.parametrize(
     ("value", "text"), [(0.0, "<0.01"), (0.01, "0.01"), (0.964, "0.96"), (0.989, "0.99"), (1.0, ">0.99")]
 )

@@ -125,4 +125,5 @@ def test_the_table_says_when_and_how_sure(found: rf.Segmentation) -> None:
     assert rows[0] == "task: 2 segments"
     assert len(rows) == 2 + len(found)
     assert "since" in rows[-1]
-    assert segments_to_record(None, label="x", error="no") == {"recording": "x", "error": "no"}
+    nothing = {"motion_time": None, "segments": [], "boundaries": []}
+    assert segments_to_record(None, label="x", error="no") == {"recording": "x", "error": "no"} | nothing

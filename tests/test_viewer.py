@@ -375,8 +375,10 @@ def test_the_command_writes_a_file(door: Path, tmp_path: Path, capsys: Any) -> N
     assert re.search(r"origin ± [\d., ]+ mm \(two standard deviations\)", text)
     assert len(_IMAGE.findall(text)) == 3
     assert not re.search(r'(src|href)="https?:', text)
-    assert program.main(["view", str(door), "--html", str(tmp_path / "no" / "a.html")]) == 1
-    assert "cannot be written: No such file or directory" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as stopped:
+        program.main(["view", str(door), "--html", str(tmp_path / "no" / "a.html")])
+    assert stopped.value.code == 2
+    assert "--html: there is no directory" in capsys.readouterr().err
     assert program.main(["view", str(tmp_path / "no.csv")]) == 1
     assert "cannot be read: No such file" in capsys.readouterr().err
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.calibration.robust import fit_touches, student_factor
+from reframe_jax.geometry.numpy_rotations import positive_axis
 from reframe_jax.recordings.checks import MIN_POSES, make_poses
 from reframe_jax.recordings.recording import Rows
 
@@ -194,7 +195,7 @@ def _check_tilts(turns: np.ndarray) -> tuple[float, np.ndarray]:
             "(RMS). Tilt the tool in two directions or more, by 20 degrees or more."
         )
     if sizes[0] < _TILTED:
-        axis = np.round(weakest * np.sign(weakest[np.argmax(np.abs(weakest))]), 3) + 0.0
+        axis = np.round(positive_axis(weakest), 3) + 0.0
         raise ValueError(
             f"The rotations do not determine the tip along ({axis[0]:.3f}, {axis[1]:.3f}, {axis[2]:.3f}) in "
             "the body: the tool turned only about this axis, which tilted by "

@@ -20,6 +20,7 @@ from reframe_jax.cli import arguments
 from reframe_jax.cli.outputs import check_file
 from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS
+from reframe_jax.recordings.recording import writing
 from reframe_jax.recordings.writing import save_recording
 
 _LONGEST = 100_000  # largest number of samples in a demonstration
@@ -49,14 +50,13 @@ def run(options: argparse.Namespace) -> int:
     common |= {"redraw": not options.keep, "duration": options.duration, "dt": options.dt}
     given = options.constraint, jax.random.key(options.seed), options.count
     try:
-        if options.out.suffix:
-            drawn = list(arm.demonstrations(*given, chunk=min(options.count, _CHUNK), **common))
-            written, parts = _write(options.out, drawn), iter(drawn)
-        else:
-            arm.store_demonstrations(*given, options.out, chunk=_CHUNK, **common)
-            written, parts = str(options.out), arm.stored_demonstrations(options.out)
-    except OSError as error:
-        return fail(f"{options.out}: cannot be written: {error.strerror}.")
+        with writing(options.out):
+            if options.out.suffix:
+                drawn = list(arm.demonstrations(*given, chunk=min(options.count, _CHUNK), **common))
+                written, parts = _write(options.out, drawn), iter(drawn)
+            else:
+                arm.store_demonstrations(*given, options.out, chunk=_CHUNK, **common)
+                written, parts = str(options.out), arm.stored_demonstrations(options.out)
     except ValueError as error:
         return fail(error)
     first, codes = None, Counter[int]()

@@ -40,7 +40,7 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.joints.joint import Joint
 from reframe_jax.motion.checks import MIN_VELOCITIES, Status
 from reframe_jax.motion.windows import sliding_windows
-from reframe_jax.recordings.recording import Recording, RecordingError
+from reframe_jax.recordings.recording import Recording, RecordingError, writing
 from reframe_jax.storage.progress import make_meter
 
 _CHUNK = 2048  # windows per progress report
@@ -265,13 +265,12 @@ def _write_tables(tables: list[Columns], options: argparse.Namespace) -> int:
         out = getattr(options, name)
         try:
             if out is not None and tables:
-                write(out, tables)
+                with writing(out):
+                    write(out, tables)
             elif out is not None:
                 failed = fail(f"{out}: not written: no recording has a result.")
-        except ImportError as error:
+        except (ImportError, RecordingError) as error:
             failed = fail(error)
-        except OSError as error:
-            failed = fail(f"{out}: cannot be written: {error.strerror}.")
     return failed
 
 

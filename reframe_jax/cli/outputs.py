@@ -6,10 +6,10 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
-from reframe_jax.cli.printing import fail, print_result
+from reframe_jax.cli.printing import print_result
 from reframe_jax.cli.reading import expand
 from reframe_jax.export.json import to_document
-from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.recording import RecordingError, writing
 
 
 def add_outputs(command: argparse.ArgumentParser, *, plot: bool = True) -> None:
@@ -55,10 +55,8 @@ def write_document(records: list[dict[str, Any]], schema: str, options: argparse
     if options.json == "-":
         print_result(to_document(records, schema))
     elif options.json is not None:
-        try:
-            Path(options.json).write_text(to_document(records, schema) + "\n", encoding="utf-8")
-        except OSError as error:
-            return fail(f"{options.json}: cannot be written: {error.strerror}.")
+        with writing(out := Path(options.json)):
+            out.write_text(to_document(records, schema) + "\n", encoding="utf-8")
     return int(any(record["error"] is not None for record in records))
 
 

@@ -87,8 +87,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     options, rest = build_parser(argv).parse_known_args(argv)
     if rest:
         options.usage_error(f"unrecognized arguments: {' '.join(rest)}")
+    from reframe_jax.recordings.recording import RecordingError
+
     try:
         return options.run(options)
+    except RecordingError as error:
+        return fail(error)
     except KeyboardInterrupt:
         return 130  # exit code that shells report for Ctrl-C
 

@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
     ]
     print_result(f"median errors of the identified frames: {', '.join(errors) or 'none defined'}")
     if comparison.redrawn:
-        print_result(f"left out, out of reach of the arm even in the true frame: {int(comparison.redrawn)}")
+        print_result(f"left out, not feasible for the arm even in the true frame: {int(comparison.redrawn)}")
     print_result(f"{'frames':12}{'completed':>10}{'time, s':>9}{'peak moment, N m':>22}{'peak force, N':>20}")
     for name, trials in comparison.rows.items():
         cells = [

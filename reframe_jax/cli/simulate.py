@@ -6,10 +6,11 @@ from pathlib import Path
 import jax
 
 from reframe_jax.cli import arguments
-from reframe_jax.cli.printing import fail, print_result
+from reframe_jax.cli.outputs import check_file
+from reframe_jax.cli.printing import print_result
 from reframe_jax.constraints.catalogue import constraint
 from reframe_jax.motion.checks import MIN_VELOCITIES
-from reframe_jax.recordings.recording import MOST_ROWS, RecordingError
+from reframe_jax.recordings.recording import MOST_ROWS
 from reframe_jax.recordings.writing import save_recording
 
 _CHOICES = {
@@ -37,6 +38,7 @@ def run(options: argparse.Namespace) -> int:
     """Simulate the motion and write the recording."""
     from reframe_jax.simulation.synthetic import simulate
 
+    check_file("--out", options.out, options, (".csv", ".npz"))
     poses = round(options.duration / options.dt) + 1
     if not MIN_VELOCITIES < poses <= MOST_ROWS:
         options.usage_error(
@@ -48,9 +50,6 @@ def run(options: argparse.Namespace) -> int:
     given = {name: getattr(options, name) for name in ("constraint", "noise", "duration", "dt", "excitation")}
     key, exact = jax.random.key(options.seed), options.generator == "exact"
     simulation = jax.device_get(compiled(key=key, exact=exact, **given))
-    try:
-        save_recording(options.out, simulation.times, simulation.poses)
-    except RecordingError as error:
-        return fail(error)
+    save_recording(options.out, simulation.times, simulation.poses)
     print_result(f"{options.out}: {constraint(options.constraint).name}, {len(simulation.times)} poses")
     return 0

@@ -17,10 +17,11 @@ import numpy as np
 
 from reframe_jax.cli import arguments
 from reframe_jax.cli.identify import add_windows, check_windows, identify_recording
+from reframe_jax.cli.outputs import check_file
 from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.cli.reading import add_reading, read_recording
 from reframe_jax.motion.windows import sliding_windows
-from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.recording import writing
 from reframe_jax.viewer import Page, WindowTrack, track_window, write_page
 
 
@@ -48,6 +49,8 @@ def run(options: argparse.Namespace) -> int:
     check_windows(options)
     if options.port > 65535:
         options.usage_error(f"--port must be at most 65535, not {options.port}.")
+    if options.html is not None:
+        check_file("--html", options.html, options)
     arguments.configure_jax(options.cache)
     try:
         tracks = _tracks(options)
@@ -59,12 +62,11 @@ def run(options: argparse.Namespace) -> int:
             with closing(page):
                 page.run()
         else:
-            write_page(options.html, tracks, title=options.file.name)
+            with writing(options.html):
+                write_page(options.html, tracks, title=options.file.name)
             print_result(f"{options.html}: {tracks[0].name}{', and more windows' if len(tracks) > 1 else ''}")
-    except (RecordingError, ImportError) as error:
+    except (ImportError, OSError) as error:
         return fail(error)
-    except OSError as error:
-        return fail(f"{options.html}: cannot be written: {error.strerror}.")
     return 0
 
 

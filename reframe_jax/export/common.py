@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.geometry.numpy_rotations import positive_axis
 from reframe_jax.identification.results import Identification
 from reframe_jax.recordings.recording import LeftOut, Recording
 
@@ -32,7 +33,7 @@ def directions(projector: np.ndarray) -> list[np.ndarray]:
     """Return unit vectors (3,) that span the range of a projector (3, 3), largest component positive."""
     values, vectors = np.linalg.eigh(projector)
     spanning = [vector for value, vector in zip(values, vectors.T, strict=True) if value > 0.5]
-    return [vector * np.sign(vector[np.argmax(np.abs(vector))]) for vector in spanning]
+    return [positive_axis(vector) for vector in spanning]
 
 
 def plain(value: Any) -> Any:

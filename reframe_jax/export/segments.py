@@ -33,6 +33,7 @@ def segments_to_table(found: Segmentation, *, label: str) -> str:
 def segments_to_record(found: Segmentation | None, *, label: str, error: str | None) -> dict[str, Any]:
     """Convert a segmentation, or None if it failed, to an entry of the JSON document."""
     record: dict[str, Any] = {"recording": label, "error": error}
+    record |= {"motion_time": None, "segments": [], "boundaries": []}
     if found is None:
         return record
     segments = []

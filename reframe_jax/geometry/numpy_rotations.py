@@ -7,6 +7,11 @@ differentiated. Use :mod:`reframe_jax.geometry.rotations` for code with JAX. Qua
 import numpy as np
 
 
+def positive_axis(axis: np.ndarray) -> np.ndarray:
+    """Return an axis (3,) with the sign that makes its largest component positive."""
+    return axis * np.sign(axis[np.argmax(np.abs(axis))])
+
+
 def skew_vectors(matrices: np.ndarray) -> np.ndarray:
     """Return the vectors w (..., 3) with [w]x = M - M^T, for matrices M (..., 3, 3)."""
     skew = matrices - matrices.swapaxes(-1, -2)
@@ -47,6 +52,12 @@ def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
     sine = np.linalg.norm(quaternions[..., :3], axis=-1)
     factor = 2 * np.arctan2(sine, quaternions[..., 3]) / np.where(sine == 0, 1, sine)
     return factor[..., None] * quaternions[..., :3]
+
+
+def angles_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return the angles (...), rad, between rotations (..., 3, 3)."""
+    chord = np.linalg.norm(after - before, axis=(-2, -1)) / np.sqrt(8)
+    return 2 * np.arcsin(np.minimum(chord, 1))
 
 
 def rotation_matrices(vectors: np.ndarray) -> np.ndarray:

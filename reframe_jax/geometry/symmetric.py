@@ -87,11 +87,6 @@ def ascending_eigh(s: Symmetric) -> tuple[jax.Array, jax.Array]:
     return jnp.take_along_axis(values, order, -1), jnp.take_along_axis(axes, order[..., None, :], -1)
 
 
-def quadratic_form(a: Vector, s: Symmetric, b: Vector) -> jax.Array:
-    """Return a^T S b (...), for vectors of three arrays (...) and S of six arrays (...)."""
-    return sum(a[i] * s[PACKED[i][j]] * b[j] for i in range(3) for j in range(3))  # type: ignore[return-value]
-
-
 @eigh.defjvp
 def _eigh_jvp(primals: tuple[Symmetric], tangents: tuple[Symmetric]) -> tuple[tuple, tuple]:  # type: ignore[type-arg]
     """First-order perturbation: ds_i = e_i.dS e_i, de_i = sum_j e_j (e_j.dS e_i) / (s_i - s_j)."""

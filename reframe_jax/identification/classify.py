@@ -22,11 +22,6 @@ class Thresholds:
     linear: float | jax.Array = 0.037
 
 
-def degrees_of_freedom(rms: jax.Array, threshold: jax.Array | float) -> jax.Array:
-    """Return 1 for each axis whose RMS velocity exceeds the threshold, else 0; (..., 3) int32."""
-    return (rms > threshold).astype(jnp.int32)
-
-
 def free_rotations(dof: jax.Array) -> jax.Array:
     """Return the axes, (..., 3) bool, about which a frame can be turned without a change of its constraint.
 

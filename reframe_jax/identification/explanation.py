@@ -5,6 +5,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from reframe_jax.constraints.types import BODY_NAMES, LinearType
+from reframe_jax.geometry.numpy_rotations import positive_axis
 from reframe_jax.joints.joint import format_vector, two_digits
 
 _INTERVAL = 1.96  # half-width of a 95 % interval, in standard deviations
@@ -99,15 +100,18 @@ def explain_window(found: Any, spread: Spread | None, tested: Tested | None) -> 
     """
     freedom = found.name.removeprefix("Unnamed: ")
     like = _LIKE.get(found.name, f"This combination of free axes has no common name: {freedom}")
-    probability = found.probability
-    words = (
-        "below 0.01" if probability < 0.01 else "above 0.99" if probability > 0.99 else f"{probability:.2f}"
-    )
-    known = "" if np.isnan(probability) else f" (probability {words})"
     where = [line for line in (_where(found, spread), _direction(found, spread)) if line]
     if spread is not None and where and not bool(spread.first_order):
         where[-1] += " The noise is high; the true error may exceed this interval."
-    return "\n".join([f"{like}{known}.", *_held(found), *where, *_still_open(found, tested)])
+    return "\n".join(
+        [f"{like}{in_brackets(found.probability)}.", *_held(found), *where, *_still_open(found, tested)]
+    )
+
+
+def in_brackets(probability: float) -> str:
+    """Return `` (probability ...)`` with two digits, never 0 or 1; empty for NaN."""
+    extreme = "below 0.01" if probability < 0.01 else "above 0.99" if probability > 0.99 else ""
+    return "" if np.isnan(probability) else f" (probability {extreme or f'{probability:.2f}'})"
 
 
 def _held(found: Any) -> list[str]:
@@ -158,7 +162,7 @@ def _where(found: Any, spread: Spread | None) -> str:
 def _equal_points(projector: np.ndarray, free: int) -> str:
     """State on which line (1 free direction) or plane (2 free directions) all points are equally valid."""
     axis = np.linalg.eigh(projector)[1][:, 2 if free == 1 else 0]
-    direction = format_vector(axis * np.sign(axis[np.argmax(np.abs(axis))]), 2)
+    direction = format_vector(positive_axis(axis), 2)
     if free == 1:
         return f"Any point on the line through it along {direction} is equally valid."
     return f"Any point of the plane through it perpendicular to {direction} is equally valid."

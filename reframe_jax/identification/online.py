@@ -32,13 +32,7 @@ class OnlineIdentifier:
         ValueError: if the window is too short, if ``dt`` is not positive, or for another invalid option.
     """
 
-    def __init__(
-        self,
-        length: int,
-        *,
-        dt: float | None = None,
-        **options: Unpack[IdentifyOptions],
-    ) -> None:
+    def __init__(self, length: int, *, dt: float | None = None, **options: Unpack[IdentifyOptions]) -> None:
         try:
             length = index(length)
         except TypeError as error:

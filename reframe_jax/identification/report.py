@@ -18,7 +18,7 @@ from reframe_jax.identification.axes import (
     rotation_vector,
 )
 from reframe_jax.identification.cautions import Caution, caution_codes
-from reframe_jax.identification.classify import Thresholds, degrees_of_freedom, free_rotations
+from reframe_jax.identification.classify import Thresholds, free_rotations
 from reframe_jax.identification.frames import AllCandidates, AngularFrame, Candidates, LinearFrame, PoseNoise
 from reframe_jax.identification.naming import SAME_IN_ALL_TYPES
 from reframe_jax.identification.optima import Types, smallest_scale, types_of_steps, types_over_scales
@@ -95,8 +95,8 @@ def _report_window(
             searched, cast(Compared, compared), Data(used.products, used.details, mean, window.box)
         )
     else:
-        angular_dof = degrees_of_freedom(types.angular_rms, thresholds.angular)
-        linear_dof = degrees_of_freedom(types.linear_rms, thresholds.linear)
+        angular_dof = (types.angular_rms > thresholds.angular).astype(jnp.int32)
+        linear_dof = (types.linear_rms > thresholds.linear).astype(jnp.int32)
         winner = winner_by_thresholds(types, searched, angular_dof, linear_dof)
     kind, fitted = winner.kind, winner.parameters
     bodies = jnp.stack([ground_axes(fitted, mean), fitted.axes])  # by AngularType

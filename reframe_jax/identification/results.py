@@ -5,6 +5,7 @@ codes. The properties ``frame_type`` and ``status`` are enum members for a singl
 for a batch; a code compares equal to its enum member.
 """
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import EllipsisType
@@ -14,12 +15,12 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import index_leaves
+from reframe_jax.compilation import index_leaves, traced
 from reframe_jax.constraints.catalogue import Constraint, describe
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, Dof, LinearType
 from reframe_jax.identification.cautions import caution_sentences
-from reframe_jax.identification.explanation import Spread, Tested, explain_window
+from reframe_jax.identification.explanation import Spread, Tested, explain_window, in_brackets
 from reframe_jax.identification.frames import AllCandidates, AngularFrame, LinearFrame, PoseNoise, member
 from reframe_jax.identification.naming import NAME_OF_ENTRY, constraint_of, name_of
 from reframe_jax.joints.fitting import fit_joint
@@ -69,6 +70,17 @@ class Identification:
     counted: jax.Array
     status_code: jax.Array
     warning_codes: jax.Array
+
+    def __repr__(self) -> str:
+        """Summarize the result in a line: the name, or the most frequent names of a batch."""
+        if not isinstance(self.status_code, jax.Array | np.ndarray | np.generic) or traced(self.status_code):
+            return object.__repr__(self)
+        if not (shape := np.shape(self.status_code)):
+            return f"<Identification: {self.name}{in_brackets(self.probability)}>"
+        common = Counter(name.split(":")[0] for name in self.name.ravel()).most_common(3)
+        return (
+            f"<Identification of {shape} windows: {', '.join(f'{count} {name}' for name, count in common)}>"
+        )
 
     def __getitem__(self, index: Index) -> "Identification":
         """Select windows of a batch by an index, as in an array."""

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from reframe_jax.constraints.catalogue import describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame, fixed_on_body
 from reframe_jax.constraints.types import AxisRelation, LinearType, distinct_axis, relation_of_cosine
-from reframe_jax.geometry.numpy_rotations import nearest_rotations
+from reframe_jax.geometry.numpy_rotations import angles_between, nearest_rotations, positive_axis
 from reframe_jax.joints.chain import JointPart, ball_hinges, chain_coordinates, chain_poses, split_coordinates
 from reframe_jax.joints.joint import Joint, JointType
 
@@ -176,8 +176,7 @@ def _fit(geometry: _Geometry, plan: _Plan, names: dict[str, Any]) -> Joint:
     parts = _parts(geometry, plan, home)
     coordinates = chain_coordinates(parts, home, poses, length)
     model = chain_poses(parts, home, coordinates)
-    chord = np.linalg.norm(model[:, :3, :3] - poses[:, :3, :3], axis=(-2, -1)) / np.sqrt(8)
-    rotation_error = _rms(2 * np.arcsin(np.minimum(chord, 1)))
+    rotation_error = _rms(angles_between(poses[:, :3, :3], model[:, :3, :3]))
     if plan.second is not None and rotation_error > _UNIVERSAL:
         return _without_chain(geometry, names)
     ranged = []
@@ -237,12 +236,12 @@ def _parts(geometry: _Geometry, plan: _Plan, home: np.ndarray) -> tuple[JointPar
         directions = [axis]
     elif plan.slides == "plane" and axis is not None:
         along = free[-1] - axis * (free[-1] @ axis)
-        along = _positive(along / np.linalg.norm(along))
+        along = positive_axis(along / np.linalg.norm(along))
         directions = [along, np.cross(axis, along)]
     elif plan.slides == "space":
         directions = list(np.eye(3))
     else:
-        directions = [_positive(each) for each in free]
+        directions = [positive_axis(each) for each in free]
     if plan.slides in ("plane", "space") or geometry.slides == 3:
         point = origin
     elif geometry.slides and plan.slides == "free" and not plan.turns_first:
@@ -252,7 +251,7 @@ def _parts(geometry: _Geometry, plan: _Plan, home: np.ndarray) -> tuple[JointPar
     slides = [JointPart("slide", direction, origin) for direction in directions]
     turns = []
     if axis is not None and plan.second is not None:
-        turns = [JointPart("hinge", each, point) for each in (axis, _positive(rotation @ plan.second))]
+        turns = [JointPart("hinge", each, point) for each in (axis, positive_axis(rotation @ plan.second))]
     elif axis is not None:  # at the point on the axis nearest to the origin of the child
         pitch = geometry.pitch if plan.type == "screw" else None
         turns = [JointPart("hinge", axis, point + axis * (axis @ (origin - point)), pitch=pitch or 0.0)]
@@ -304,11 +303,6 @@ def _gauge(geometry: _Geometry, plan: _Plan, parts: Sequence[JointPart], child: 
     return tuple(sentences)
 
 
-def _positive(axis: np.ndarray) -> np.ndarray:
-    """Return an axis (3,) with the sign that makes its largest component positive."""
-    return axis * np.sign(axis[np.argmax(np.abs(axis))])
-
-
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
@@ -323,13 +317,13 @@ def _joint_plans(geometry: _Geometry) -> list[_Plan]:
         return [_Plan(kinds[slides])]
     distinct, other = geometry.distinct
     if turns == 1 and distinct is not None:
-        return _hinge_plans(geometry, _positive(distinct), other, last)
+        return _hinge_plans(geometry, positive_axis(distinct), other, last)
     if (slides == 3 and turns == 3) or geometry.only_velocities:
         return []  # combinations of the free motions reach every pose
     if geometry.universal is not None:
         first, second = geometry.universal
         kind: JointType = "general" if slides else "universal"
-        return [_Plan(kind, turns_first=last, axis=_positive(first), second=second)]
+        return [_Plan(kind, turns_first=last, axis=positive_axis(first), second=second)]
     return [_Plan("general" if slides else "spherical", turns_first=last)] if turns == 3 else []
 
 
@@ -342,7 +336,7 @@ def _hinge_plans(geometry: _Geometry, axis: np.ndarray, other: np.ndarray | None
         # the identification has two estimates of the axis: from the rotations and from the translations
         kind: JointType = "cylindrical" if slides == 1 else "planar"
         where: Literal["along", "plane"] = "along" if slides == 1 else "plane"
-        return [_Plan(kind, axis=each, slides=where) for each in (axis, _positive(other))]
+        return [_Plan(kind, axis=each, slides=where) for each in (axis, positive_axis(other))]
     if geometry.only_velocities:
         # a free translation that turns with the hinge covers a plane if it is normal to it, else all of space
         plane = slides == 1 and relation == AxisRelation.PERPENDICULAR

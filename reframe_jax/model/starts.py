@@ -52,10 +52,6 @@ def _sorted(axes: Array, size: Array) -> Array:
     return jnp.stack([columns[0] * jnp.where(turned < 0, -1, 1), columns[1], columns[2]], axis=1)
 
 
-def _sizes(axes: Array, form: Array) -> Array:
-    return total(axes * times(form, axes), 0)
-
-
 def common_frames(paths: Array, turns: Array, position: Array, details: Array, scale_weight: Array) -> Axes:
     """Compute, for every window, the axes that the covariances of all scales have in common.
 
@@ -72,7 +68,7 @@ def common_frames(paths: Array, turns: Array, position: Array, details: Array, s
     lift = 1e-18 * unit_matrix(forms.dtype, 3)
     axes = diagonalize(forms + lift, weights)
     sizes = jnp.concatenate([total(forms[:, :, :, :6] * scale_weight[:, None], 2), whole[:, :, None]], axis=2)
-    axes = _sorted(axes, _sizes(axes, sizes))
+    axes = _sorted(axes, total(axes * times(sizes, axes), 0))
     return Axes(axes[:, :, :4], axes[:, :, 4:6], axes[:, :, 6])
 
 

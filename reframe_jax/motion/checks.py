@@ -99,16 +99,18 @@ def window_status(poses: Any, steps: Any) -> Any:
     arrays of NumPy or of JAX.
     """
     xp = jnp if isinstance(poses, jax.Array) else np
-    finite = xp.all(xp.isfinite(poses), axis=(-3, -2, -1)) & xp.all(xp.isfinite(steps), axis=-1)
-    outside = xp.any(xp.abs(poses[..., :3, 3]) > _FARTHEST * (1 + _SLACK), axis=(-2, -1))
-    odd = (steps < _SHORTEST * (1 - _SLACK)) | (steps > _LONGEST * (1 + _SLACK))
-    moving = xp.any(poses != poses[..., :1, :, :], axis=(-3, -2, -1))
+    finite = xp.all(xp.isfinite(poses), axis=(-2, -1))
+    still = xp.all(poses == poses[..., :1, :, :], axis=(-2, -1))
+    near = xp.all(xp.abs(poses[..., :3, 3]) <= _FARTHEST * (1 + _SLACK), axis=-1)
+    usual = (steps >= _SHORTEST * (1 - _SLACK)) & (steps <= _LONGEST * (1 + _SLACK))
+    finite, rigid, still, near = xp.all(xp.stack([finite, is_rigid(poses), still, near]), axis=-1)
+    known, rising, usual = xp.all(xp.stack([xp.isfinite(steps), steps > 0, usual]), axis=-1)
     codes = (
-        (~finite, Status.NOT_FINITE),
-        (~xp.all(is_rigid(poses), axis=-1), Status.NOT_A_POSE),
-        (~xp.all(steps > 0, axis=-1), Status.TIMES_NOT_INCREASING),
-        (~moving, Status.NO_MOTION),
-        (outside | xp.any(odd, axis=-1), Status.OUT_OF_RANGE),
+        (~(finite & known), Status.NOT_FINITE),
+        (~rigid, Status.NOT_A_POSE),
+        (~rising, Status.TIMES_NOT_INCREASING),
+        (still, Status.NO_MOTION),
+        (~(near & usual), Status.OUT_OF_RANGE),
     )
     status = xp.full(finite.shape, Status.OK, dtype=xp.int32)
     for wrong, code in reversed(codes):

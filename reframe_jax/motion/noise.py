@@ -4,8 +4,11 @@ White noise is independent from sample to sample. A high-order difference of con
 noise and hardly any of the smooth motion. All arrays have components first, then samples, then windows.
 """
 
+from math import comb
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 __all__ = ["constant_components", "estimate_noise", "masked_median", "unit_of_rounding"]
@@ -86,11 +89,13 @@ def _unit_differences(values: jax.Array, times: jax.Array, order: int) -> jax.Ar
 
     The result has the shape (2, 2, 3, P - order, N).
     """
-    clocks = jnp.stack(jnp.broadcast_arrays(jnp.arange(len(times), dtype=times.dtype)[:, None], times))
-    at = jnp.stack([clocks[:, j : len(times) - order + j] for j in range(order + 1)])
+    at = jnp.stack([times[j : len(times) - order + j] for j in range(order + 1)])
     gaps = (at[:, None] - at) / (at[-1] - at[0])
     weights = 1 / jnp.prod(jnp.where(gaps == 0, 1, gaps), axis=1)
-    weights = (weights / jnp.sqrt(jnp.sum(weights * weights, axis=0)))[:, :, None, None]
+    weights = weights / jnp.sqrt(jnp.sum(weights * weights, axis=0))
+    equal = np.array([(-1) ** j * comb(order, j) / comb(2 * order, order) ** 0.5 for j in range(order + 1)])
+    each = jnp.broadcast_to(jnp.asarray(equal, weights.dtype)[:, None, None], weights.shape)
+    weights = jnp.stack([each, weights], axis=1)[:, :, None, None]
     terms = [weight * values[:, :, j : len(times) - order + j] for j, weight in enumerate(weights)]
     return sum(terms[1:], terms[0])
 
@@ -107,11 +112,11 @@ def constant_components(values: jax.Array, counted: jax.Array, least: float = 0.
     Returns:
         (F, N) bool.
     """
-    low = jnp.min(jnp.where(counted[None], values, jnp.inf), axis=1)
-    high = jnp.max(jnp.where(counted[None], values, -jnp.inf), axis=1)
-    largest = jnp.max(jnp.where(counted[None], jnp.abs(values), 0), axis=(0, 1))
+    # one reduction compiles in half the time of two
+    high, minus_low = jnp.max(jnp.where(counted, jnp.stack([values, -values]), -jnp.inf), axis=2)
+    largest = jnp.max(jnp.maximum(high, minus_low), axis=0)
     rounding = 4 * float(jnp.finfo(values.dtype).eps) * jnp.maximum(largest, least)
-    return high - low <= rounding[None]
+    return high + minus_low <= rounding
 
 
 def unit_of_rounding(position: jax.Array, counted: jax.Array) -> jax.Array:
@@ -132,17 +137,16 @@ def unit_of_rounding(position: jax.Array, counted: jax.Array) -> jax.Array:
     steps = jnp.abs(jnp.diff(position, axis=1))
     both = (counted[1:] & counted[:-1])[None]
     moved = both & (steps > 0)
-    smallest = jnp.min(jnp.where(moved, steps, jnp.inf), axis=(0, 1))
+    ranges = [jnp.where(both, steps, jnp.inf), jnp.where(both, -steps, 0), jnp.where(moved, steps, jnp.inf)]
+    least, minus_most, own = jnp.min(jnp.stack(ranges), axis=2)  # (3, N) each
+    smallest = jnp.min(own, axis=0)
     unit = jnp.where(jnp.isfinite(smallest), smallest, 1)
-    multiples = steps / unit[None, None]
+    multiples = steps / unit
     off = jnp.where(moved, jnp.abs(multiples - jnp.round(multiples)), 0)
-    number = jnp.maximum(jnp.sum(moved, axis=(0, 1), dtype=position.dtype), 1)
-    least = jnp.min(jnp.where(both, steps, jnp.inf), axis=1)
-    most = jnp.max(jnp.where(both, steps, 0), axis=1)
-    uneven = jnp.any(most > least + unit[None] / 2, axis=0)
-    rounded = uneven & (jnp.sum(off, axis=(0, 1)) < _OFF_GRID * number)
+    sums = jnp.sum(jnp.concatenate([off, moved, jnp.any(moved, axis=0)[None]]), axis=1)
+    off, number, anywhere = sums[:3], sums[3:6], sums[6]
+    uneven = jnp.any(-minus_most > least + unit / 2, axis=0)
+    rounded = uneven & (jnp.sum(off, axis=0) < _OFF_GRID * jnp.maximum(jnp.sum(number, axis=0), 1))
     common = jnp.where(jnp.isfinite(smallest) & rounded, unit, 0)
-    anywhere = jnp.any(moved, axis=0)
-    repeats = jnp.sum(anywhere[None] & ~moved, axis=1) * 2 > jnp.sum(anywhere, axis=0)[None]
-    own = jnp.min(jnp.where(moved, steps, jnp.inf), axis=1)
+    repeats = (anywhere - number) * 2 > anywhere
     return jnp.maximum(common, jnp.max(jnp.where(repeats & jnp.isfinite(own), own, 0), axis=0))

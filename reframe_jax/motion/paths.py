@@ -115,8 +115,9 @@ def sections_of(path: Array, steps: Array, count: Array) -> Array:
         own = jnp.arange(1, path.shape[1])[:, None] < count
         gaps = own & (steps > _EVEN * jnp.sort(steps, axis=0)[int(_USUAL * len(steps))])
         square = jnp.square(jnp.diff(path, axis=1))
-        moved = jnp.stack([jnp.sum(part, axis=0) for part in jnp.split(square, [9])])
-        across, usual = (jnp.sum(moved * of, axis=1) / jnp.sum(of, axis=0) for of in (gaps, own & ~gaps))
+        moved = jnp.stack([jnp.sum(square[:9], axis=0), jnp.sum(square[9:], axis=0), jnp.ones_like(steps)])
+        sums = jnp.sum(moved * jnp.stack([gaps, own & ~gaps])[:, None], axis=2)
+        across, usual = sums[:, :2] / sums[:, 2:]
         gaps = gaps & jnp.any(across > MOTION.gap**2 * usual, axis=0)
         return jnp.cumsum(gaps, axis=0, dtype=jnp.int32)
 

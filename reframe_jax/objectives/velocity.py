@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.geometry import rotations, symmetric
+from reframe_jax.geometry.small import times, total
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean
 
@@ -62,8 +63,8 @@ class FrameObjective(_Moments):
         """Return log J (...) of the frames with unknowns x, (dim, ...)."""
         axes = jnp.moveaxis(rotations.rotation_exp(jnp.moveaxis(x[:3], 0, -1)), (-2, -1), (0, 1))
         sigma = covariance_at(self.moments, (x[-3], x[-2], x[-1]))
-        squares = [symmetric.quadratic_form(axis, sigma, axis) for axis in axes.swapaxes(0, 1)]
-        return log_power_mean(jnp.log(jnp.stack(squares)) / 2, self.exponent)
+        squares = total(axes * times(jnp.stack(sigma)[np.array(symmetric.PACKED)], axes), 0)
+        return log_power_mean(jnp.log(squares) / 2, self.exponent)
 
 
 @jax.tree_util.register_dataclass

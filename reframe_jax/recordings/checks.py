@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import nearest_rotations, quaternions_to_matrices, rotation_vectors
+from reframe_jax.geometry.numpy_rotations import angles_between, nearest_rotations, quaternions_to_matrices
 from reframe_jax.recordings.continuity import is_unordered
-from reframe_jax.recordings.conventions import angles_between, keeps_a_point_better, sample_rows
+from reframe_jax.recordings.conventions import keeps_a_point_better, sample_rows
 from reframe_jax.recordings.lost import find_lost_poses
 from reframe_jax.recordings.recording import RecordingError, Rows, name_rows
 from reframe_jax.recordings.selection import ANGLE_UNITS, UNITS, Selection
@@ -48,7 +48,7 @@ def drop_unfinished(rows: Rows) -> None:
     if rows.values.shape[1] == 7:
         turned = (rows.values[:, 3:] != 0).any(axis=1)
     else:
-        turned = (rows.values.reshape(len(rows.values), -1, 4)[:, :3, :3] != 0).any(axis=(1, 2))
+        turned = (rows.values.reshape(-1, rows.values.shape[1] // 4, 4)[:, :3, :3] != 0).any(axis=(1, 2))
     rows.keep(turned, "all numbers of the orientation are 0, so tracking was lost", "untracked")
 
 
@@ -82,7 +82,8 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> tuple[n
     change = _acceleration(positions, np.asarray(rows.times))
     too_fast = f"the velocity changes by {change:.2g} m/s^2, more than"
     remedy = "give unit='mm' (--unit mm), for cm unit='cm'"
-    advice = f"if the positions are in mm, {'correct the unit in the file' if rows.metres else remedy}"
+    corrected = "correct the unit in the file, or give unit (--unit) if the file states none"
+    advice = f"if the positions are in mm, {corrected if rows.metres else remedy}"
     if distance.max(initial=0) > _DISTANT:
         row = int(np.argmax(distance))
         where = f"{distance[row]:.3g} m from the median position"
@@ -99,7 +100,7 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> tuple[n
         rows.notes.append(f"{too_fast} that of a hand; {advice}.")
     unit = rows.metres or UNITS[wanted.unit or "m"]
     if unit < 1 and 0 < span < _SMALL * unit and count >= _MANY:
-        remedy = "correct the unit in the file" if rows.metres else "leave out unit (--unit)"
+        remedy = corrected if rows.metres else "leave out unit (--unit)"
         rows.notes.append(f"positions span {1e3 * span:.2g} mm; if they are in m, {remedy}.")
     return poses, unordered
 
@@ -177,7 +178,7 @@ def make_poses(rows: Rows) -> np.ndarray:
         for block in blocks:
             poses[block, :3, :3] = quaternions_to_matrices(values[block, 3:] / length[block, None])
         return poses
-    poses[:, : values.shape[1] // 4] = values.reshape(len(values), -1, 4)
+    poses[:, : values.shape[1] // 4] = values.reshape(-1, values.shape[1] // 4, 4)
     error = np.empty(len(values))
     for block in blocks:
         rotations = poses[block, :3, :3]
@@ -261,7 +262,7 @@ def _repeated(poses: np.ndarray, before: np.ndarray) -> str:
 def _distance(before: np.ndarray, after: np.ndarray) -> str:
     """Distance of two poses in words: a length, or an angle if the body hardly changes its position."""
     moved = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
-    turned = float(np.linalg.norm(rotation_vectors(after[:3, :3] @ before[:3, :3].T)))
+    turned = float(angles_between(before[:3, :3], after[:3, :3]))
     if moved < _TURN * _SIZE * turned or moved == 0:
         size, unit = float(np.degrees(turned)), "deg"
     else:

@@ -5,14 +5,15 @@ from decimal import Decimal
 
 import numpy as np
 
-from reframe_jax.recordings.conventions import angles_between, sample_rows
+from reframe_jax.geometry.numpy_rotations import angles_between
+from reframe_jax.recordings.conventions import sample_rows
 from reframe_jax.recordings.recording import EPOCH, RecordingError, Rows, is_path
 from reframe_jax.recordings.selection import TIME_UNITS, Selection, unit_of
 
 _SLOW, _SLOWEST = 0.9, 1e3  # s between samples: noted for a path; refused
 _USUAL = 0.02, 1.0  # s between samples of a usual recording, and between separate touches
 _SWIFT, _TURNING = 5.0, 8.0  # m/s and rad/s, above the usual speeds of a hand
-_LAG = 50  # speeds are measured over this fraction of a recording
+_LAG = 50  # speeds are measured over one part of so many of a recording
 _ROOM = 10.0  # m, span of positions of a hand or an arm
 _SINCE_1970 = 3e8, 5e9  # s, clock times of recordings
 _DISTANT = 10.0  # distance of the times from 0 over their span, above which a time of 0 was never set

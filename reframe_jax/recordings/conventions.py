@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices, rotation_vectors
+from reframe_jax.geometry.numpy_rotations import angles_between, quaternions_to_matrices, rotation_vectors
 from reframe_jax.recordings.recording import AngleTriples, RecordingError, Rows
 from reframe_jax.recordings.selection import Selection, flag, unit_of
 
@@ -114,11 +114,6 @@ def _other_readings(
 def sample_rows(count: int) -> np.ndarray:
     """Select 400 rows (M,) or fewer out of ``count``, evenly, for a comparison."""
     return np.linspace(0, count - 1, min(count, _ROWS)).astype(int)
-
-
-def angles_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return the angles (N,), rad, between rotations (N, 3, 3)."""
-    return np.linalg.norm(rotation_vectors(after @ before.swapaxes(1, 2)), axis=1)
 
 
 def fits_better(positions: np.ndarray, own: np.ndarray, other: np.ndarray) -> float:

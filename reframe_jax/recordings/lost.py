@@ -7,8 +7,6 @@ them, in units of the steps of the path. Repeats that continue the path are a bo
 NumPy only.
 """
 
-from functools import cached_property
-
 import numpy as np
 
 _SAME = 1e-9  # m, or difference of elements of rotation matrices, within which numbers are equal
@@ -64,12 +62,8 @@ def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> np.nd
 
 
 def _quantile(numbers: np.ndarray, fraction: float) -> float:
-    """Quantile of numbers (N,), 0 if there are none; for few numbers much faster than NumPy's."""
-    if not len(numbers):
-        return 0.0
-    ranked, place = np.sort(numbers), fraction * (len(numbers) - 1)
-    low, high = ranked[int(place)], ranked[min(int(place) + 1, len(numbers) - 1)]
-    return float(low + (place - int(place)) * (high - low))
+    """Quantile of numbers (N,), 0 if there are none."""
+    return float(np.quantile(numbers, fraction)) if len(numbers) else 0.0
 
 
 class _Path:
@@ -92,11 +86,6 @@ class _Path:
         steps[steps < _SAME] = 0
         self.steps = steps / np.maximum(late, 1)  # (N-1,) per median time step, if the step took longer
         self.lengths = self.steps[self.steps > 0]
-
-    @cached_property
-    def value(self) -> np.ndarray:
-        """(N,) int, equal for equal rows."""
-        return np.unique(self.keys, return_inverse=True)[1].ravel()
 
     @property
     def runs(self) -> np.ndarray:
@@ -161,8 +150,8 @@ def _constant(paths: tuple[_Path, _Path], kinds: np.ndarray) -> None:
     for path in paths:
         if np.diff(np.sort(path.keys)).all():
             continue
-        counts = np.bincount(path.value)
-        repeated = (counts > 1)[path.value]
+        value, counts = np.unique(path.keys, return_inverse=True, return_counts=True)[1:]
+        repeated = (counts > 1)[value]
         runs, last = path.runs, len(kinds) - 1
         # repeats between the pose before and the pose after them are on the path
         before, here, after = (path.numbers[np.clip(rows, 0, last)] for rows in (runs[:, 0] - 1, *runs.T))
@@ -172,8 +161,8 @@ def _constant(paths: tuple[_Path, _Path], kinds: np.ndarray) -> None:
         stays = (counts == 1) | (len(kinds) - counts < _OTHERS)
         # a number that continues the path anywhere is a pose
         away = path.jumps(runs, _JUMP_STEPS, repeated)[:, 0] & ~between
-        stays[path.value[runs[~away, 0]]] = True
-        kinds[~stays[path.value]] = "constant"
+        stays[value[runs[~away, 0]]] = True
+        kinds[~stays[value]] = "constant"
 
 
 def _noisy(paths: tuple[_Path, _Path], kinds: np.ndarray) -> None:
@@ -214,9 +203,10 @@ def _noisy(paths: tuple[_Path, _Path], kinds: np.ndarray) -> None:
         turn = paths[1]
         identity = _reaches(turn.numbers, turn.origin, starts) < _STILL if path is not turn else zero
         lost = np.where(zero, np.where(identity, "identity", "origin"), np.where(inside, "constant", ""))
-        for kind in {*lost} - {""}:  # the same number elsewhere is lost too
+        for kind in sorted({*lost.tolist()} - {""}):  # the same number elsewhere is lost too
             longest = np.argmax(np.where(lost == kind, lengths, 0))
-            lost[several & (np.linalg.norm(means - means[longest], axis=1) < near)] = kind
+            same = np.linalg.norm(means - means[longest], axis=1) < near
+            lost[several & same & (lost == "")] = kind
         kinds[:] = np.where(kinds == "", np.repeat(lost, lengths), kinds)
 
 

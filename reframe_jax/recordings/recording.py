@@ -1,6 +1,7 @@
 """Recordings, the rows of numbers from which they are made (the result of every reader), and their errors."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -21,6 +22,15 @@ _OUTLIER = "the pose jumps away from its neighbours and back"
 
 class RecordingError(ValueError):
     """A file cannot be used as a recording."""
+
+
+@contextmanager
+def writing(out: Path) -> Iterator[None]:
+    """Raise a RecordingError that names the file ``out`` if a block raises an OSError."""
+    try:
+        yield
+    except OSError as error:
+        raise RecordingError(f"{out}: cannot be written: {error.strerror}.") from error
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
 from reframe_jax.recordings.checks import make_poses
-from reframe_jax.recordings.recording import HEADER, RecordingError, Rows
+from reframe_jax.recordings.recording import HEADER, RecordingError, Rows, writing
 
 
 def save_recording(
@@ -18,7 +18,8 @@ def save_recording(
 
     The suffix selects the format. Times are (K+1,) s, and poses (K+1, 4, 4) m. Both formats can contain
     wrenches, columns ``fx,fy,fz,tx,ty,tz`` or an array ``wrenches``: (K+1, 6) force in N, then torque in Nm,
-    written unchanged; NaN where a number is missing.
+    written unchanged; NaN where a number is missing. Rotations with an error of at most 1e-2 in an element of
+    R^T R are replaced by the nearest rotation.
 
     Raises:
         RecordingError: if the shapes do not fit each other, a number is not finite, a pose is not a rigid
@@ -38,10 +39,11 @@ def save_recording(
         raise RecordingError(f"{path}: expected finite wrenches, or NaN where a number is missing.")
     with np.errstate(all="ignore"):  # make_poses refuses rotations whose squares are infinite
         poses = make_poses(Rows(path, "sample", np.arange(len(times)), poses.reshape(-1, 16), times))
-    try:
+    with writing(path):
         if path.suffix.lower() == ".npz":
             arrays = {"times": times, "poses": poses} | ({} if wrenches is None else {"wrenches": forces})
-            np.savez(path, allow_pickle=False, **arrays)
+            with path.open("wb") as file:  # with the suffix as it is
+                np.savez(file, **arrays)
         elif path.suffix.lower() == ".csv":
             quaternions = matrices_to_quaternions(poses[:, :3, :3])
             table = np.column_stack([times, poses[:, :3, 3], quaternions, forces])
@@ -50,5 +52,3 @@ def save_recording(
                 csv.writer(file, lineterminator="\n").writerows([header.split(","), *table.tolist()])
         else:
             raise RecordingError(f"{path}: recordings are written as .csv or .npz, not {path.suffix!r}.")
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}.") from error

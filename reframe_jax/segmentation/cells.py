@@ -9,7 +9,7 @@ from math import comb
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import rotation_vectors
+from reframe_jax.geometry.numpy_rotations import angles_between, rotation_vectors
 from reframe_jax.identification.preparation import REACH
 from reframe_jax.tuning import EVIDENCE
 from reframe_jax.tuning import SEGMENTS as C
@@ -167,8 +167,7 @@ def _motion_scale(
     def displacements(lag: int) -> np.ndarray:
         """Squared translations and rotations, (pairs, 2) m^2; the lever converts rotations."""
         first = np.unique(np.linspace(0, number - 1 - lag, _SAMPLES).astype(int))
-        chord = np.sum((rotation[first + lag] - rotation[first]) ** 2, axis=(1, 2)) / 8
-        turn = 2 * np.arcsin(np.clip(np.sqrt(chord), 0, 1))
+        turn = angles_between(rotation[first], rotation[first + lag])
         shift = np.linalg.norm(position[first + lag] - position[first], axis=1)
         return np.square(scale * np.stack([shift, turn], axis=1))
 

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-import jax
 import numpy as np
 
 from reframe_jax.identification.results import Identification
@@ -26,7 +25,6 @@ class Boundary:
     latest: int
 
 
-@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Segment:
     """Part of a recording with one constraint, or with a still body.

@@ -4,7 +4,7 @@ Each model is evaluated near its span only, so the cost is linear in the length 
 """
 
 from bisect import bisect_right
-from heapq import heappush, heapreplace
+from heapq import heappop, heappush
 from typing import NamedTuple
 
 import numpy as np
@@ -51,12 +51,8 @@ def columns_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     column = np.zeros(len(low), int)
     ends: list[tuple[int, int]] = []
     for k in np.argsort(low, kind="stable"):
-        if ends and ends[0][0] <= low[k]:
-            column[k] = ends[0][1]
-            heapreplace(ends, (int(high[k]), int(column[k])))
-        else:
-            column[k] = len(ends)
-            heappush(ends, (int(high[k]), int(column[k])))
+        column[k] = heappop(ends)[1] if ends and ends[0][0] <= low[k] else len(ends)
+        heappush(ends, (int(high[k]), int(column[k])))
     return column
 
 

@@ -2,14 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from reframe_jax.constraints.frame import ConstraintFrame, place_frame
 from reframe_jax.geometry import rotations
 from reframe_jax.simulation.motions import PoseErrors, disturb
-from reframe_jax.simulation.synthetic import simulate
+from reframe_jax.simulation.synthetic import pitch_of, simulate
 
 __all__ = ["SequenceSimulation", "each_duration", "simulate_sequence"]
 
@@ -59,11 +61,14 @@ def simulate_sequence(
     pieces, truths, boundaries = [pose[None]], [], [0]
     for constraint, duration, own_key in zip(constraints, each, keys, strict=True):
         place_key, motion_key = jax.random.split(own_key)
-        frame = _place(constraint, place_key, pose) if isinstance(constraint, str) else constraint
-        moved = simulate(frame, motion_key, duration=duration, dt=dt, ease=_EASE, start=pose).exact_poses
+        options: Any = {"duration": duration, "dt": dt, "ease": _EASE, "start": pose}
+        if isinstance(constraint, str):
+            options["pitch"] = pitch_of(constraint)
+            constraint = _place(constraint, place_key, pose)
+        moved = simulate(constraint, motion_key, **options).exact_poses
         pose = moved[-1]
         pieces.append(moved[1:])
-        truths.append(frame)
+        truths.append(constraint)
         boundaries.append(boundaries[-1] + len(moved) - 1)
     exact = jnp.concatenate(pieces)
     return SequenceSimulation(
@@ -79,13 +84,14 @@ def each_duration(
     constraints: Sequence[str | ConstraintFrame], durations: float | Sequence[float]
 ) -> list[float]:
     """Return one duration per constraint; raise a ValueError without constraints, or for another number."""
-    each = [durations] * len(constraints) if isinstance(durations, int | float) else list(durations)
+    one = isinstance(durations, int | float | np.number)
+    each: Any = [durations] * len(constraints) if one else durations
     if not constraints or len(each) != len(constraints):
         raise ValueError(
             "A sequence needs constraints, and one duration or one per constraint; found "
             f"{len(constraints)} constraints and {len(each)} durations."
         )
-    return each
+    return list(each)
 
 
 def _place(label: str, key: jax.Array, pose: jax.Array) -> ConstraintFrame:

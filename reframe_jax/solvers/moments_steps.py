@@ -92,11 +92,7 @@ class ValleySteps(MomentsSteps):
             part = jnp.min(jnp.where(steps == 0, 1, room / jnp.where(steps == 0, 1, steps)), axis=1)
             return jnp.concatenate([jnp.minimum(part, 1)[:, None] * steps, down])
 
-        def move(x: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array]:
-            there = jnp.clip(x - step, box.low, box.high)
-            return there, norm.value(there)
-
-        return take_best_steps(x, norm.value(x), steps_at, move, self.steps)
+        return take_best_steps(x, norm.value, steps_at, lambda x, step: box.clip(x - step), self.steps)
 
 
 def _aligning_rotation(s: jax.Array) -> jax.Array:
@@ -151,11 +147,10 @@ class FrameSteps(MomentsSteps):
             extra = jnp.stack([turn.at[3:].set(shift), turn, still.at[3:].set(shift)])
             return jnp.concatenate([steps_in_box(here, low, high, gradient, hessian), extra])
 
-        def move(frame: _Frame, step: jax.Array) -> tuple[_Frame, jax.Array]:
+        def move(frame: _Frame, step: jax.Array) -> _Frame:
             axes, origin = moved(frame, -step)
-            there = axes, jnp.clip(origin, low[3:], high[3:])
-            return there, level(there)
+            return axes, jnp.clip(origin, low[3:], high[3:])
 
         start = rotations.rotation_exp(x[:3]), x[3:]
-        (axes, origin), value = take_best_steps(start, level(start), steps_at, move, self.steps)
+        (axes, origin), value = take_best_steps(start, level, steps_at, move, self.steps)
         return jnp.concatenate([rotations.rotation_log(axes), origin]), value

@@ -69,27 +69,28 @@ def steps_in_box(
 
 def take_best_steps(
     start: _Point,
-    value: jax.Array,
+    value_of: Callable[[_Point], jax.Array],
     steps_at: Callable[[_Point], jax.Array],
-    move: Callable[[_Point, jax.Array], tuple[_Point, jax.Array]],
+    move: Callable[[_Point, jax.Array], _Point],
     count: int,
 ) -> tuple[_Point, jax.Array]:
     """Repeat: try candidate steps, and take the step with the lowest value; stay if no step lowers the value.
 
     A point is a pytree. ``steps_at`` maps a point to candidate steps (C, dim); ``move`` maps a point and a
-    step (dim,) to the next point and its value. The result is the last point and its value.
+    step (dim,) to the next point. The result is the last point and its value.
     """
 
     def advance(_: int, carry: tuple[_Point, jax.Array]) -> tuple[_Point, jax.Array]:
         here, best = carry
-        points, values = jax.vmap(lambda step: move(here, step))(steps_at(here))
+        points = jax.vmap(lambda step: move(here, step))(steps_at(here))
+        values = jax.vmap(value_of)(points)
         values = jnp.where(jnp.isnan(values), jnp.inf, values)
         lowest = jnp.argmin(values)
         better = values[lowest] < best
         there = jax.tree.map(lambda new, old: jnp.where(better, new[lowest], old), points, here)
         return there, jnp.where(better, values[lowest], best)
 
-    return jax.lax.fori_loop(0, count, advance, (start, value))
+    return jax.lax.fori_loop(0, count, advance, (start, value_of(start)))
 
 
 @dataclass(frozen=True)
@@ -106,8 +107,4 @@ class NewtonSteps(BatchSteps):
         def steps_at(x: jax.Array) -> jax.Array:
             return steps_in_box(x, box.low, box.high, *derivatives(objective.value, x))
 
-        def move(x: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array]:
-            there = jnp.clip(x - step, box.low, box.high)
-            return there, objective.value(there)
-
-        return take_best_steps(x, objective.value(x), steps_at, move, self.steps)
+        return take_best_steps(x, objective.value, steps_at, lambda x, step: box.clip(x - step), self.steps)

@@ -161,6 +161,8 @@ def _part_numbers(parts: Iterable[int]) -> list[int]:
 
 def _check_numbers(wanted: set[int] | None, total: int | None, size: int) -> None:
     """Raise an error for part numbers that do not exist; large numbers need a known number of windows."""
+    if total == 0:
+        raise ValueError("windows must contain at least one window.")
     if wanted is None:
         return
     stop = None if total is None else -(-total // size)

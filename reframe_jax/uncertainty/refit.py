@@ -273,8 +273,7 @@ def _start(found: Estimate, axes: Array, centre: Array, mean: Array, entry: Tabl
     cosines = jnp.abs(linear.T @ axis)
     across = linear[:, jnp.where(cosines[2] < 0.7, 2, jnp.argmin(cosines))]
     ground, body = mean.T @ found.universal_axes[0], found.universal_axes[1]
-    second = jnp.where(entry.crossed, jnp.cross(ground, body), across - axis * (across @ axis))
-    second = second / jnp.sqrt(jnp.sum(second * second) + 1e-30)
+    second = _unit(jnp.where(entry.crossed, jnp.cross(ground, body), across - axis * (across @ axis)))
     first = jnp.where(entry.crossed, body, jnp.cross(second, axis))
     axes = jnp.stack([first, second, jnp.cross(first, second)], axis=1)
     lean = jnp.where(entry.crossed, jnp.arctan2(first @ ground, axes[:, 2] @ ground), 0)
@@ -292,14 +291,17 @@ def _frames(
     # a universal joint does not turn about the normal of its two axes
     to_ground = jnp.where(found.angular.type_code == int(AngularType.G), mean, jnp.eye(3, dtype=mean.dtype))
     second = to_ground @ bodies[1][:, 0]
-    odd = jnp.cross(to_ground @ mean.T @ bodies[0][:, 2], second)
-    odd = odd / jnp.sqrt(jnp.sum(odd * odd) + 1e-30)
+    odd = _unit(jnp.cross(to_ground @ mean.T @ bodies[0][:, 2], second))
     universal = jnp.stack([odd, second, jnp.cross(odd, second)], axis=1)
     angular = jnp.where(entry.crossed, universal, bodies[found.angular.type_code])
     linear = bodies[jnp.asarray(ORIENTATION_BODIES)[found.linear.type_code]]
     in_ground = jnp.asarray(POSITION_BODIES)[found.linear.type_code] == int(AngularType.G)
     origin = _in_other_body(parameters.origin, mean, jnp.asarray(_IN_GROUND)[entry.path], in_ground)
     return jnp.stack([angular, linear]), origin
+
+
+def _unit(vector: Array) -> Array:
+    return vector / jnp.sqrt(jnp.sum(vector * vector) + 1e-30)
 
 
 def _in_other_body(origin: Array, mean: Array, in_ground: Array, to_ground: Array) -> Array:

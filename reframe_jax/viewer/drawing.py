@@ -151,7 +151,7 @@ class Drawing:
     def _path(self, name: str, points: np.ndarray, colour: str, width: float) -> None:
         """Draw a line through points (n, 3); long paths are subsampled."""
         points = points[np.isfinite(points).all(axis=1)]
-        points = points[:: max(1, len(points) // _MAX_POINTS)]
+        points = points[np.linspace(0, len(points) - 1, min(len(points), _MAX_POINTS)).astype(int)]
         if len(points) > 1 and np.ptp(points, axis=0).max() > 0:
             self._segments(name, np.stack([points[:-1], points[1:]], axis=1), colour, width)
 

@@ -48,7 +48,7 @@ def read_c3d(path: Path, wanted: Selection) -> Rows:
     content = file["poses"][:, rotations.index(name)] if turned else file["points"]
     check_size(path, len(content))
     times = np.arange(len(content)) / rate if 0 < rate < np.inf else None
-    rows = Rows(path, "frame", np.arange(len(content)), content.reshape(len(content), -1), times)
+    rows = Rows(path, "frame", np.arange(len(content)), content.reshape(-1, prod(content.shape[1:])), times)
     if turned:
         rows.metres = unit_of_markers(path, unit, wanted)
     else:

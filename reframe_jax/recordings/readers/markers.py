@@ -73,17 +73,17 @@ def set_marker_poses(rows: Rows, points: np.ndarray, known: list[str], wanted: S
     The points (N, M, 3), NaN where a marker is not seen, have the labels ``known`` and a unit in words.
     """
     path, metres = rows.path, unit_of_markers(rows.path, unit, wanted)
-    labels = _choose_markers(path, wanted.body, known)
+    labels = list(dict.fromkeys(_choose_markers(path, wanted.body, known)))
     if missing := [label for label in labels if label not in known]:
         raise RecordingError(f"{path}: has no marker {listed(missing)}; markers: {listed(known, _MOST)}.")
-    if len(set(labels)) < 3:
-        raise RecordingError(f"{path}: expected three markers or more of a body, found {len(set(labels))}.")
-    points = points[:, [known.index(label) for label in dict.fromkeys(labels)]]
+    if len(labels) < 3:
+        raise RecordingError(f"{path}: expected three markers or more of a body, found {len(labels)}.")
+    points = points[:, [known.index(label) for label in labels]]
     try:
         poses, residuals = fit_rigid_body(points)
     except ValueError as error:
         counts = np.isfinite(points).all(axis=2).sum(axis=0)
-        seen = listed(f"{label} {count}" for label, count in zip(labels, counts, strict=False))
+        seen = listed(f"{label} {count}" for label, count in zip(labels, counts, strict=True))
         raise RecordingError(
             f"{path}: no rigid body fits, because {error}; name other markers, {flag('body')}. Count of "
             f"frames, of {len(points)}, in which each marker is seen: {seen}."

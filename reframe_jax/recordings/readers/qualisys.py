@@ -84,6 +84,7 @@ def _read_header(path: Path) -> tuple[dict[str, str], dict[str, range], int | No
         )
     if all(is_number(cell) for cell in cells if cell):
         first, size = len(cells) - _FULL * int(count), _FULL
+        first -= first % 2 and not cells[-1]  # a tab at the end of the rows
         starts = [first + i * _FULL for i in range(len(names))] if first in (0, 2) else []
         time = 1 if first else None
         lines = chain([(number, cells)], lines)

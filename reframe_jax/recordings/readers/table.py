@@ -194,7 +194,7 @@ def _find_time(header: _Header, first: list[str]) -> int | tuple[int, int] | Non
     if not (times := [i for i in map(header.find, _TIMES) if i is not None]):
         return header.find(_DATE)
     filled = [i for i in times if i < len(first) and first[i].strip("0.")]
-    return next(iter(filled or times[-1:]), None)  # stamps of 0 were never set
+    return (filled or times[-1:])[0]  # stamps of 0 were never set
 
 
 def _find_columns(header: _Header, wanted: Selection) -> tuple[list[int], list[int]]:

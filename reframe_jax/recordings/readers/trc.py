@@ -23,7 +23,7 @@ def read_trc(path: Path, wanted: Selection) -> Rows:
     width = 2 + 3 * len(labels)
     numbers = (row for row in lines if is_number(row[1][0]))  # without the row X1, Y1, Z1
     rows = collect(path, numbers, width, range(2, width), 1, short=True)
-    points = rows.values.reshape(len(rows.values), -1, 3)
+    points = rows.values.reshape(-1, len(labels), 3)
     points[(points == 0).all(axis=2)] = np.nan
     set_marker_poses(rows, points, labels, wanted, unit)
     return rows

@@ -19,7 +19,7 @@ from reframe_jax.simulation.arm.imperfections import Imperfections, check_imperf
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import Steps, rollout_status
 from reframe_jax.simulation.sequences import each_duration
-from reframe_jax.simulation.synthetic import Excitation
+from reframe_jax.simulation.synthetic import Excitation, pitch_of
 
 SPREAD = (0.4, 0.02)
 """rad and m, standard deviations per component of a random geometry."""
@@ -111,11 +111,6 @@ class SequenceDemonstration:
         return tuple(np.cumsum([len(stage.times) - 1 for stage in self.stages])[:-1].tolist())
 
     @property
-    def truths(self) -> tuple[ConstraintFrame, ...]:
-        """The true constraint of each stage."""
-        return tuple(stage.truth for stage in self.stages)
-
-    @property
     def status_code(self) -> jax.Array:
         """(N,) int, the worst :class:`RolloutStatus` of all stages."""
         return jnp.max(jnp.stack([stage.status_code for stage in self.stages]), axis=0)
@@ -135,6 +130,8 @@ def frame_on_arm(
         return constraint
     if not isinstance(constraint, str):
         raise ValueError(f"A constraint must be a label, a name or a ConstraintFrame, not {constraint!r}.")
+    if pitch_of(constraint) is not None:
+        raise ValueError("A constraint of the arm has no pitch; choose another one than the screw joint.")
     arm = find_arm(arm)
     joints = arm.start(start, float)
     rotation, position = forward_kinematics(joints, arm)

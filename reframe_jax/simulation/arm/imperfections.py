@@ -57,8 +57,7 @@ def check_imperfections(given: Any) -> None:
 
 def by_axis(pair: Any, dtype: Any) -> jax.Array:
     """Expand numbers for (rotations, translations) to six axes, (6,)."""
-    rotations, translations = (jnp.asarray(number, dtype=dtype) for number in pair)
-    return jnp.stack([rotations] * 3 + [translations] * 3)
+    return jnp.repeat(jnp.stack([jnp.asarray(number, dtype=dtype) for number in pair]), 3)
 
 
 def compliance_of(imperfections: Imperfections, dtype: Any) -> jax.Array:

@@ -132,7 +132,7 @@ class Motion:
     """The state of the arm at an instant, in the axes of its base.
 
     Attributes:
-        joints, velocity: (7,) rad and rad/s.
+        velocity: (7,) rad/s, of the joints.
         rotation, position: (3, 3) and (3,) m, orientation and origin of {b} in {g}.
         jacobian: (6, 7) from joint velocities to the twist of {b}: its angular velocity (rad/s), then the
             velocity of its origin (m/s), both in the axes of {g}.
@@ -140,7 +140,6 @@ class Motion:
         bias: (7,) N m, Coriolis and centrifugal torques.
     """
 
-    joints: jax.Array
     velocity: jax.Array
     rotation: jax.Array
     position: jax.Array
@@ -220,7 +219,6 @@ def arm_motion(joints: jax.Array, velocity: jax.Array, arm: Arm = PANDA) -> Moti
         mass = mjx.full_m(model, data)
         linear = jnp.cross(data.xaxis, data.site_xpos[tcp] - data.xanchor)
     motion = Motion(
-        joints=joints,
         velocity=velocity,
         rotation=data.site_xmat[tcp],
         position=data.site_xpos[tcp],

@@ -25,6 +25,7 @@ import jax.numpy as jnp
 from reframe_jax.constraints.frame import Frame, locate, slip, twist_map
 from reframe_jax.geometry.small import solve_positive, times
 from reframe_jax.motion.checks import MessageCode
+from reframe_jax.simulation.arm.imperfections import by_axis
 from reframe_jax.simulation.arm.model import Arm, Motion, arm_motion, forward_kinematics
 
 RELAXATION = 0.03
@@ -154,7 +155,7 @@ def rollout_status(track: Track, free: jax.Array, compliance: jax.Array, arm: Ar
     outside = jnp.any((track.joints < lower) | (track.joints > upper), axis=(1, 2))
     fast = jnp.any(jnp.abs(track.velocity) > jnp.asarray(arm.speed, dtype=dtype)[None, None], axis=(1, 2))
     held = jnp.max(jnp.abs(track.slip), axis=1) * (1 - free)
-    bound = jnp.asarray([_SLIPPED[0]] * 3 + [_SLIPPED[1]] * 3, dtype=dtype)
+    bound = by_axis(_SLIPPED, dtype)
     slipped = jnp.any(held > jnp.where(compliance > 0, jnp.inf, bound)[None], axis=1)
     finite = jnp.all(jnp.isfinite(track.joints), axis=(1, 2))
     status = RolloutStatus
