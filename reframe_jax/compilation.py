@@ -146,11 +146,7 @@ def index_leaves(tree: _T, index: Any) -> _T:
     row = isinstance(index, int | np.integer) and not isinstance(index, bool)
     if row and length is not None and not -length <= index < length:
         raise IndexError(f"There is no row {index}: the arrays have {length} rows.")
-    if (
-        together
-        and not traced((tree, index))
-        and all([device.platform for device in leaf.devices()] == ["cpu"] for leaf in leaves)
-    ):
+    if together and not traced((tree, index)) and all(map(_on_one_cpu, leaves)):
         with jax.enable_x64(True):  # the dtypes remain
             return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[index], tree))
     if row and length is not None:
@@ -160,6 +156,10 @@ def index_leaves(tree: _T, index: Any) -> _T:
         if step == 1:
             return _take_rows(tree, start, max(0, stop - start))
     return jax.tree.map(lambda leaf: leaf[index], tree)
+
+
+def _on_one_cpu(array: jax.Array) -> bool:
+    return [device.platform for device in array.devices()] == ["cpu"]
 
 
 @jax.jit

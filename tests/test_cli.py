@@ -419,6 +419,31 @@ def test_simulations_that_cannot_be_written(tmp_path: Path, capsys: Captured) ->
     assert "--out must end in .csv, .npz, not 'a.txt'" in capsys.readouterr().err
 
 
+def test_outputs_replace_neither_recordings_nor_each_other(
+    door: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    recording = tmp_path / "a.csv"
+    recording.write_bytes(door.read_bytes())
+    same = str(tmp_path / "b.xml")
+    for outputs, problem in (
+        (["--csv", str(recording)], f"--csv would replace the recording {recording}"),
+        (["--urdf", same, "--mjcf", same], f"--urdf and --mjcf name the same file, {same}"),
+    ):
+        with pytest.raises(SystemExit) as stopped:
+            program.main(["identify", "--no-cache", str(recording), *outputs])
+        assert stopped.value.code == 2
+        assert problem in capsys.readouterr().err
+    assert recording.read_bytes() == door.read_bytes()
+
+
+def test_a_summary_with_thresholds_has_no_probabilities(door: Path, capsys: Captured) -> None:
+    arguments = ["identify", "--no-cache", "--summary", "--angular-threshold", "0.1", str(door)]
+    assert program.main(arguments) == 0
+    printed = capsys.readouterr().out
+    assert "nan" not in printed
+    assert re.search(r"Revolute joint +- ", printed)
+
+
 def test_the_catalogue_is_listed(capsys: Captured) -> None:
     assert program.main(["constraints"]) == 0
     rows = capsys.readouterr().out.splitlines()[1:18]

@@ -164,7 +164,7 @@ def test_vicon_does_not_say_what_its_angles_are(tmp_path: Path, bodies: Poses) -
         load_recording(save(tmp_path / "a.csv", vicon(bodies)), body="Rod")
     path = save(tmp_path / "b.csv", vicon(bodies, angles="quaternion"))
     same(load_recording(path, body="Rod"), bodies["Rod"])
-    with pytest.raises(RecordingError, match=r"has 4 numbers of an orientation; leave out angles"):
+    with pytest.raises(RecordingError, match=r"has 4 orientation numbers; leave out angles"):
         load_recording(path, body="Rod", angles="vector")
 
 

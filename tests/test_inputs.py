@@ -114,6 +114,34 @@ def test_types_that_are_no_numbers_or_too_coarse_are_refused_by_name(poses, name
         identify(**arguments)
 
 
+@pytest.mark.parametrize(
+    ("rows", "value", "words"),
+    [([7], np.nan, "NaN .* See row 7, counted"), ([3, 4, 9], 2.0, "rigid .* See rows 3-4, 9 ")],
+)
+def test_errors_name_the_rows_of_a_window(poses, rows, value, words):
+    spoiled = np.array(poses)
+    spoiled[rows] = value
+    for find in (identify, rf.segment):
+        with pytest.raises(ValueError, match=words):
+            find(spoiled, dt=DT)
+    times = DT * np.arange(K + 1)
+    times[5] = times[4]
+    with pytest.raises(ValueError, match=r"do not increase.* See row 5,"):
+        identify(poses, times=times)
+
+
+def test_something_else_than_an_array_gets_a_remedy():
+    with pytest.raises(ValueError, match=r"give load_recording\(path\)\.poses"):
+        identify("walk.csv", dt=DT)
+
+
+def test_distant_positions_in_single_precision_are_pointed_out():
+    distant = np.array(synthetic.simulate("spherical", jax.random.key(1), noise=1e-4).poses, float)
+    distant[:, 0, 3] += 1e6
+    with jax.enable_x64(False), pytest.warns(UserWarning, match="rounds positions to .* mm"):
+        identify(distant, dt=DT)
+
+
 def test_coarse_arrays_of_jax_are_refused(poses):
     with pytest.raises(ValueError, match="not float16"):
         identify(jnp.asarray(poses, jnp.float16))

@@ -109,5 +109,5 @@ def test_folders_of_something_else(tmp_path: Path) -> None:
     (folder / "part-00000001.npz").unlink()
     panda.store_demonstrations("K", KEY, 12, folder, **options)
     part.unlink()
-    with pytest.raises(ValueError, match=r"incomplete: parts \[0\] are missing"):
+    with pytest.raises(ValueError, match=r"parts \[0\] are missing. Run store_demonstrations again"):
         load(folder)

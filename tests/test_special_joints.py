@@ -131,6 +131,17 @@ def test_outputs_give_the_pitch(found):
     np.testing.assert_array_equal(to_columns(found)["pitch_m_rad"], found.pitch)
 
 
+def test_axes_of_coupled_joints_are_not_separate(found, made):
+    one = found[1]
+    assert one.linear.free_probability[2] > 0.9
+    assert jax.jit(lambda of: of.probability)(one) == pytest.approx(one.probability)
+    poses = np.asarray(made[0][1])
+    with pytest.raises(ValueError, match="No motions of separate axes for this result: Screw joint"):
+        rf.next_motion(one, poses, times=DT * np.arange(len(poses)))
+    with pytest.raises(ValueError, match="screw joint couples its axes"):
+        rf.to_task_frame(one, poses[-1])
+
+
 def test_universal_joints_with_large_rotations_are_named():
     rng = np.random.default_rng(0)
     found = rf.identify(np.stack([on_wide_universal(rng) for _ in range(36)]), dt=DT)
@@ -156,7 +167,9 @@ def test_a_universal_joint_is_named_with_its_axes(made, found):
     assert np.degrees(np.arccos(np.minimum(cosine, 1))).max() < 1
     assert np.all(np.isnan(found[DISTANT].universal_axes))
     one = joints[0]
-    assert "Turns   about" in rf.to_table(one)
+    table = rf.to_table(one)
+    assert "Turns   about" in table
+    assert "Angular frame" not in table
     (window,) = json.loads(rf.to_json(one))["recordings"][0]["windows"]
     np.testing.assert_array_equal(window["universal_axes"]["body"], one.universal_axes[1])
     assert one.explain().splitlines()[-1].startswith("It turns about the directions")
@@ -176,6 +189,9 @@ def test_an_assumed_joint_is_reported_and_bounds_that_exclude_its_origin_are_not
     assert np.all(found.warning_codes & Caution.IMPROBABLE_ASSUMED)
     assert not np.any(found.warning_codes & Caution.IMPROBABLE)  # it asks for another recording
     assert np.all(found.status_code[DISTANT] == rf.Status.ON_BOUNDS)
+    one = found[DISTANT][0]
+    assert rf.Status.ON_BOUNDS.message in one.warnings
+    assert rf.Status.ON_BOUNDS.message in one.explain()
 
 
 def test_most_hinges_are_named_right_if_their_errors_depend_on_the_angle_only(found):

@@ -14,7 +14,6 @@ from reframe_jax.geometry.symmetric import (
     INDEX_PAIRS,
     eigh,
     pivots,
-    quadratic_form,
     to_matrix,
 )
 
@@ -157,13 +156,6 @@ def test_components(rng):
     for part, (i, j) in zip(s, INDEX_PAIRS, strict=True):
         np.testing.assert_array_equal(part, m[..., i, j])
     np.testing.assert_array_equal(to_matrix(s), m)
-
-
-def test_products(rng):
-    m, (a, b) = symmetric(rng, 20), rng.normal(size=(2, 20, 3))
-    s = from_matrix(jnp.asarray(m))
-    found = quadratic_form(tuple(jnp.asarray(a.T)), s, tuple(jnp.asarray(b.T)))
-    np.testing.assert_allclose(found, np.einsum("ni,nij,nj->n", a, m, b), atol=1e-13)
 
 
 def test_solve_positive(rng):

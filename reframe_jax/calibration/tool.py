@@ -90,7 +90,7 @@ class Calibration:
         return student_factor(self.freedom) * np.sqrt(np.maximum(variances, 0))
 
 
-def calibrate(poses: ArrayLike, *, spin: bool = False) -> Calibration:
+def calibrate(poses: "ArrayLike", *, spin: bool = False) -> Calibration:
     """Calibrate a tool: its tip from touches of one point, or its axis from rotations about the axis.
 
     With five rows or more, outliers are left out. The order of the rows has no effect, and a pose that
@@ -122,9 +122,8 @@ def calibrate(poses: ArrayLike, *, spin: bool = False) -> Calibration:
     # sorted, so that the order of the rows has no effect
     numbers, rows = np.unique(make_poses(given).reshape(-1, 16), axis=0, return_inverse=True)
     if len(numbers) < MIN_POSES:
-        raise ValueError(
-            f"A calibration needs {MIN_POSES} different poses or more; there are {len(numbers)}."
-        )
+        number = f"there are {len(numbers)}"
+        raise ValueError(f"A calibration needs {MIN_POSES} different poses or more; {number}.")
     found, rows = (_spin if spin else _pivot)(numbers.reshape(-1, 4, 4)), rows.ravel()
     angles = None if found.axis_residuals is None else found.axis_residuals[rows]
     return replace(found, residuals=found.residuals[rows], used=found.used[rows], axis_residuals=angles)

@@ -32,7 +32,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     """Add the options of the demonstrations and of the files."""
     arguments.add_demonstrations(command)
     add = command.add_argument
-    add("--count", type=arguments.count, default=1, metavar="N", help="number of demonstrations (1)")
+    add("--count", type=arguments.count, default=1, metavar="N", help="number (1); in a folder, parts of 64")
     add("--out", type=Path, required=True, metavar="PATH", help="folder, .npz or .csv")
     add("--duration", type=arguments.seconds, default=5.0, metavar="S", help="duration, s (5)")
     add("--dt", type=arguments.seconds, default=0.05, metavar="S", help="sample time, s (0.05)")

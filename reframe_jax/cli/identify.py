@@ -26,7 +26,7 @@ from reframe_jax.cli.outputs import add_outputs, check_file, check_outputs, draw
 from reframe_jax.cli.printing import fail, print_error, print_result
 from reframe_jax.cli.reading import add_reading, read_recording
 from reframe_jax.export.columns import Columns, to_columns, write_csv, write_parquet
-from reframe_jax.export.common import Window, align_columns
+from reframe_jax.export.common import Window, align_columns, format_probability
 from reframe_jax.export.json import SCHEMA, to_record
 from reframe_jax.export.mjcf import to_mjcf
 from reframe_jax.export.robots import check_writable
@@ -328,7 +328,7 @@ def _summary_row(record: dict[str, Any]) -> list[str]:
     (window,) = windows
     noise = window["noise"]
     return [
-        *(*start, window["name"], f"{window['probability']:.2f}"),
+        *(*start, window["name"], format_probability(window["probability"])),
         *(window["angular"]["type"], window["linear"]["type"]),
         ", ".join(f"{value + 0.0:.3f}" for value in np.round(window["linear"]["position"], 3)),
         f"{1e3 * noise['position']:.2g} mm, {np.degrees(noise['rotation']):.2g} deg",

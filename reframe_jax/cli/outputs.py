@@ -41,6 +41,12 @@ def check_file(option: str, out: Path, options: argparse.Namespace, endings: Col
         options.usage_error(f"{option} must name a file; {out} is a directory.")
     if not out.parent.is_dir():
         options.usage_error(f"{option}: there is no directory {out.parent}.")
+    files = [path for path in getattr(options, "files", [getattr(options, "file", None)]) if path is not None]
+    if out.exists() and any(path.exists() and out.samefile(path) for path in files):
+        options.usage_error(f"{option} would replace the recording {out}.")
+    others = vars(options).setdefault("outputs", {})
+    if others.setdefault(out, option) != option:
+        options.usage_error(f"{others[out]} and {option} name the same file, {out}.")
     if endings and out.suffix.lower() not in endings:
         options.usage_error(f"{option} must end in {', '.join(endings)}, not {out.name!r}.")
 

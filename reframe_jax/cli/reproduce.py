@@ -58,9 +58,8 @@ def run(options: argparse.Namespace) -> int:
         print_result(f"left out, not feasible for the arm even in the true frame: {int(comparison.redrawn)}")
     print_result(f"{'frames':12}{'completed':>10}{'time, s':>9}{'peak moment, N m':>22}{'peak force, N':>20}")
     for name, trials in comparison.rows.items():
-        cells = [
-            f"{np.mean(peak):.2f} ± {np.std(peak):.2f}" for peak in (trials.peak_moment, trials.peak_force)
-        ]
+        peaks = trials.peak_moment, trials.peak_force
+        cells = [f"{np.mean(peak):.2f} ± {np.std(peak):.2f}" for peak in peaks]
         time = np.median(trials.completion_time)
         print_result(
             f"{name:12}{100 * np.mean(trials.completed):>8.0f} %{time:>9.2f}{cells[0]:>22}{cells[1]:>20}"

@@ -39,9 +39,8 @@ def add_options(command: argparse.ArgumentParser) -> None:
     add_reading(command)
     arguments.add_cache(command)
     # options of identify that this command does not offer
-    command.set_defaults(
-        norm=0.0, discretization="chord", bounds=None, angular_threshold=None, linear_threshold=None
-    )
+    command.set_defaults(norm=0.0, discretization="chord", bounds=None)
+    command.set_defaults(angular_threshold=None, linear_threshold=None)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -48,9 +48,8 @@ def calibration_to_table(found: Calibration, recording: Recording) -> str:
     if found.axis is None:
         sentence = f"{np.degrees(found.turned):.2g} deg RMS in the direction of the least tilt"
         if found.turned < _WEAK:
-            sentence += (
-                f". Tilt farther: the tip is uncertain along {format_vector(found.weakest, 3)} in the body"
-            )
+            direction = format_vector(found.weakest, 3)
+            sentence += f". Tilt farther: the tip is uncertain along {direction} in the body"
         lines.append(f"Tilt      {sentence}")
     else:
         lines.append(f"Turn      {np.degrees(found.turned):.2g} deg RMS about the axis")

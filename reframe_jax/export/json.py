@@ -96,13 +96,11 @@ def _window_record(found: Identification, span: common.Window | None) -> dict[st
     }
     candidates: dict[str, Any] = {}
     for group, types in common.TYPES.items():
-        frame, others = getattr(found, group), getattr(found.candidates, group)
+        frame, rest = getattr(found, group), getattr(found.candidates, group)
         named = {"type": str(frame.frame_type), "tied": common.tied_names(group, frame)}
         more = {name: getattr(frame, name) for name in ("free_probability", "amplitude", "free_rotation")}
         record[group] = named | _frame_record(frame) | more
-        candidates[group] = {
-            str(kind): _frame_record(jax.tree.map(itemgetter(kind), others)) for kind in types
-        }
+        candidates[group] = {str(kind): _frame_record(jax.tree.map(itemgetter(kind), rest)) for kind in types}
     record["linear"]["free_position"] = common.directions(np.asarray(found.linear.free_position))
     return record | {"candidates": candidates}
 

@@ -44,9 +44,8 @@ def sphere_inertia(mass: float) -> dict[str, float]:
 
 def remarks(joint: Joint) -> str:
     """Return lines for the comment at the head: the constraint, the fit error, and the arbitrary choices."""
-    lines = [
-        f"{joint.name}, identified by reframe_jax from recorded poses of {joint.child} in {joint.parent}."
-    ]
+    bodies = f"{joint.child} in {joint.parent}"
+    lines = [f"{joint.name}, identified by reframe_jax from recorded poses of {bodies}."]
     position, rotation = 1e3 * joint.position_error, np.degrees(joint.rotation_error)
     lines.append(f"RMS distance from the recording: {position:.2g} mm, {rotation:.2g} deg.")
     if joint.parts:

@@ -45,14 +45,16 @@ def to_table(
         return heading
     (window,) = windows or (None,)
     probability = common.format_probability(host.probability)
-    blocks = [f"{heading} ({probability})", host.status.message, *host.warnings, ""]
-    for group in common.TYPES:
-        blocks += _frame_block(group, getattr(host, group))
+    heading += "" if probability == "-" else f" ({probability})"
+    blocks = [heading, *dict.fromkeys([host.status.message, *host.warnings]), ""]
+    crossed = np.isfinite(host.universal_axes).all()
+    for group in common.TYPES:  # no angular frame expresses two axes in different bodies
+        blocks += [] if crossed and group == "angular" else _frame_block(group, getattr(host, group))
     if np.isfinite(host.pitch):
         hand = "right" if host.pitch > 0 else "left"
         lead = f"{2e3 * np.pi * abs(host.pitch):.4g} mm per turn, {hand}-handed"
         blocks += [f"Pitch   {host.pitch:.4g} m/rad: {lead}", ""]
-    if np.all(np.isfinite(host.universal_axes)):
+    if crossed:
         ground, body = (format_vector(axis, 3) for axis in host.universal_axes)
         blocks += [f"Turns   about {ground} in the ground and {body} in the body", ""]
     return "\n".join([*blocks, *_norms_block(host), _noise_line(host, window)])
@@ -151,12 +153,14 @@ def _batch_table(
     count = f"{len(each)} window{'' if len(each) == 1 else 's'}"
     statuses = sorted({found.status for found in each} - {Status.OK})
     ties = any("~" in cell for row in rows for cell in row)
+    notes = [note for found in each if not found.status.failed for note in found.warnings]
+    notes = [note for note in notes if note != Status.ON_BOUNDS.message]
     return [
         f"{label}: {count}" if label else count,
         *common.align_columns([columns, *rows]),
         *(["~ tied: fits equally well"] if ties else []),
         *(f"{status.name}: {status.message}" for status in statuses),
-        *dict.fromkeys(note for found in each if not found.status.failed for note in found.warnings),
+        *dict.fromkeys(notes),
     ]
 
 

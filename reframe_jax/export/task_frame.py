@@ -12,6 +12,7 @@ from reframe_jax.constraints.frame import ConstraintFrame, fixed_on_body, locate
 from reframe_jax.constraints.types import AxisRelation, distinct_axis, relation_of_cosine
 from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
 from reframe_jax.identification.results import Identification
+from reframe_jax.motion.checks import is_rigid
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,7 @@ class TaskFrame:
         """(6, 6) diagonal, in the axes of this frame: 1 for force-controlled axes, which are constrained."""
         return np.diag((~self.free).astype(float))
 
-    def in_frame_id(self, matrix: ArrayLike) -> np.ndarray:
+    def in_frame_id(self, matrix: "ArrayLike") -> np.ndarray:
         """Rotate a (6, 6) matrix, such as a selection or ``np.diag(stiffness)``, to the axes of ``frame_id``.
 
         The reference point remains the origin of this frame.
@@ -89,7 +90,7 @@ class TaskFrame:
 
 def to_task_frame(
     found: Identification | ConstraintFrame,
-    pose: ArrayLike,
+    pose: "ArrayLike",
     *,
     ground: str = "ground",
     body: str = "body",
@@ -115,6 +116,8 @@ def to_task_frame(
     if isinstance(found, Identification):
         if np.shape(found.status_code) == () and found.status.failed:
             raise ValueError(f"There is no task frame: {found.status.message}")
+        if np.isfinite(found.pitch).any() or np.isfinite(found.universal_axes).any():
+            raise ValueError(f"A {found.name.lower()} couples its axes; no selection of axes expresses it.")
         name, frame = found.name, found.constraint_frame
     else:
         key = found.linear_type, found.angular_dof, found.linear_dof
@@ -123,8 +126,10 @@ def to_task_frame(
     if np.shape(frame.position) != (3,):
         raise ValueError(f"Expected a single frame, not a batch of shape {np.shape(frame.position)[:-1]}.")
     there = np.asarray(pose, float)
-    if there.shape != (4, 4) or not np.isfinite(there).all():
+    if there.shape != (4, 4):
         raise ValueError(f"Expected a finite pose of shape (4, 4), not one of shape {there.shape}.")
+    if not is_rigid(there):
+        raise ValueError(f"Expected a finite pose that is a rigid transform, not {there.tolist()}.")
     both = np.array([stiff, soft], float)
     if both.shape != (2, 2) or not ((both >= 0) & np.isfinite(both)).all():
         raise ValueError(f"Expected two stiffnesses that are 0 or more, not {stiff} and {soft}.")

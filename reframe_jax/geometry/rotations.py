@@ -130,7 +130,7 @@ def rotation_to_quaternion(rotation: jax.Array) -> jax.Array:
     diagonal entry, which is at least 1 (Shepperd's method), so it never divides by a small number.
     """
     r = [[rotation[..., i, j] for j in range(3)] for i in range(3)]
-    diagonal = (
+    diagonal = xx, yy, zz, ww = (
         1 + r[0][0] - r[1][1] - r[2][2],
         1 - r[0][0] + r[1][1] - r[2][2],
         1 - r[0][0] - r[1][1] + r[2][2],
@@ -138,12 +138,7 @@ def rotation_to_quaternion(rotation: jax.Array) -> jax.Array:
     )
     xy, xz, yz = r[0][1] + r[1][0], r[0][2] + r[2][0], r[1][2] + r[2][1]
     xw, yw, zw = r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]
-    rows = (
-        (diagonal[0], xy, xz, xw),
-        (xy, diagonal[1], yz, yw),
-        (xz, yz, diagonal[2], zw),
-        (xw, yw, zw, diagonal[3]),
-    )
+    rows = (xx, xy, xz, xw), (xy, yy, yz, yw), (xz, yz, zz, zw), (xw, yw, zw, ww)
     best, row = diagonal[3], rows[3]
     for entry, candidate in zip(diagonal[:3], rows[:3], strict=True):
         better = entry > best

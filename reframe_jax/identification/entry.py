@@ -12,7 +12,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import COMPILER_OPTIONS, inside_trace, narrow
+from reframe_jax.compilation import COMPILER_OPTIONS, in_float64, inside_trace, narrow
 from reframe_jax.identification import pipeline
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.classify import Thresholds
@@ -20,7 +20,7 @@ from reframe_jax.identification.inputs import run_in_pieces, run_in_trace, take_
 from reframe_jax.identification.options import Options, Scales, check_options
 from reframe_jax.identification.pipeline import CHUNK, Arrays, Method
 from reframe_jax.identification.results import Identification
-from reframe_jax.motion.checks import Status
+from reframe_jax.motion.checks import Status, is_rigid
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.norms import check_exponent
 from reframe_jax.recordings.continuity import is_unordered
@@ -30,16 +30,16 @@ from reframe_jax.solvers import Solver
 
 
 def identify(
-    poses: ArrayLike,
+    poses: "ArrayLike",
     *,
-    times: ArrayLike | None = None,
-    dt: ArrayLike | None = None,
+    times: "ArrayLike | None" = None,
+    dt: "ArrayLike | None" = None,
     scales: Scales = "auto",
     assume: str | None = None,
     norm: float = 0.0,
     discretization: Discretization = "chord",
     thresholds: Thresholds | None = None,
-    bounds: ArrayLike | None = None,
+    bounds: "ArrayLike | None" = None,
     solver: Solver | None = None,
     key: jax.Array | None = None,
 ) -> Identification:
@@ -86,7 +86,8 @@ def identify(
         reasons to doubt the result, for example that the poses have no order.
 
     Warns:
-        UserWarning: if tracking seems lost in some poses of a single window (not inside a trace).
+        UserWarning: if tracking seems lost in some poses of a single window, or if float32 is too coarse for
+            the positions of results in float64; not inside a trace.
 
     Raises:
         ValueError: for a wrong type, shape or option. Also for a single window outside a trace whose poses or
@@ -137,12 +138,14 @@ def identify_unchecked(
                 found = replace(found, counted=found.counted[..., : array.shape[-3]])
     if inside_a_trace:
         return found
+    if wide and not in_float64():
+        _warn_of_rounding(found)
     found = narrow(found)
     if array.ndim > 3:
         return found
     status = Status(int(found.status_code))
     if status.failed:
-        raise ValueError(status.message)
+        raise ValueError(status.message + name_bad_rows(status, np.asarray(array), np.asarray(steps)))
     # without the padding; NumPy needs no program for every length
     return replace(found, counted=jax.device_put(np.asarray(found.counted)[: array.shape[0]]))
 
@@ -158,6 +161,23 @@ def _warn_of_lost_rows(poses: np.ndarray, times: Any) -> None:
             "load_recording does; reframe_jax.recordings.lost.find_lost_poses returns them.",
             stacklevel=3,
         )
+
+
+def name_bad_rows(status: Status, poses: np.ndarray, steps: np.ndarray) -> str:
+    """Name the poses (K+1, 4, 4) and steps (K,), s, that cause a status; empty if no single row does."""
+    late = np.append(False, ~(steps > 0))
+    finite = np.isfinite(poses).all(axis=(1, 2)) & np.append(True, np.isfinite(steps))
+    bad = {Status.NOT_FINITE: ~finite, Status.NOT_A_POSE: ~is_rigid(poses), Status.TIMES_NOT_INCREASING: late}
+    rows = np.flatnonzero(bad.get(status, False))
+    return f" See {name_rows('row', rows)}, counted from 0." if len(rows) else ""
+
+
+def _warn_of_rounding(found: Identification) -> None:
+    """Warn if the positions of a result in float64 will be rounded to float32 by more than their noise."""
+    error = np.finfo(np.float32).eps * np.abs(np.asarray(found.linear.position)).max(axis=-1, initial=0)
+    if np.any(error > np.maximum(found.noise.position, 1e-5)):  # m; trackers are no better than 10 um
+        advice = 'Subtract an offset, or call jax.config.update("jax_enable_x64", True).'
+        warnings.warn(f"JAX rounds positions to {1e3 * np.nanmax(error):.2g} mm. {advice}", stacklevel=4)
 
 
 def _is_distributed(poses: Any) -> bool:
@@ -187,9 +207,8 @@ def _program_for_mesh(mesh: Mesh, axis: Any, own_steps: bool, method: Method) ->
     """Compile ``identify_windows`` for windows that are distributed over a mesh of devices."""
 
     def of_device(poses: jax.Array, steps: jax.Array, arrays: Arrays) -> Any:
-        return run_in_trace(
-            partial(pipeline.identify_windows, arrays, method=method), poses, steps, None, CHUNK
-        )
+        run = partial(pipeline.identify_windows, arrays, method=method)
+        return run_in_trace(run, poses, steps, None, CHUNK)
 
     whole, part = PartitionSpec(), PartitionSpec(axis)
     specs = part, part if own_steps else whole, whole

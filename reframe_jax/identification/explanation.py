@@ -7,6 +7,7 @@ import numpy as np
 from reframe_jax.constraints.types import BODY_NAMES, LinearType
 from reframe_jax.geometry.numpy_rotations import positive_axis
 from reframe_jax.joints.joint import format_vector, two_digits
+from reframe_jax.motion.checks import Status
 
 _INTERVAL = 1.96  # half-width of a 95 % interval, in standard deviations
 # inflation of error bars above which the text mentions slow errors: most recordings of the golden benchmark
@@ -103,9 +104,9 @@ def explain_window(found: Any, spread: Spread | None, tested: Tested | None) -> 
     where = [line for line in (_where(found, spread), _direction(found, spread)) if line]
     if spread is not None and where and not bool(spread.first_order):
         where[-1] += " The noise is high; the true error may exceed this interval."
-    return "\n".join(
-        [f"{like}{in_brackets(found.probability)}.", *_held(found), *where, *_still_open(found, tested)]
-    )
+    where += [found.status.message] if found.status == Status.ON_BOUNDS else []
+    first = f"{like}{in_brackets(found.probability)}."
+    return "\n".join([first, *_held(found), *where, *_still_open(found, tested)])
 
 
 def in_brackets(probability: float) -> str:
@@ -138,7 +139,7 @@ def _largest(covariance: Any) -> float:
 
 
 def _within(size: float, unit: str) -> str:
-    return f", ± {size:.2g} {unit} (95 %)"
+    return f", ± {two_digits(size)} {unit} (95 %)"
 
 
 def _where(found: Any, spread: Spread | None) -> str:

@@ -36,9 +36,7 @@ def read_numbers(name: str, value: Any) -> Any:
     """
     if not isinstance(value, jax.Array):
         if np.ma.is_masked(value):
-            raise ValueError(
-                f"{name} must not be a masked array: remove the masked entries, or replace them with NaN."
-            )
+            raise ValueError(f"{name} must not be a masked array; remove the masked samples.")
         try:
             value = np.asarray(value)
         except (TypeError, ValueError) as error:
@@ -74,6 +72,8 @@ def take_poses(poses: Any) -> Any:
     Raises:
         ValueError: for a wrong type or shape, or for fewer than five poses.
     """
+    if isinstance(poses, str) or hasattr(poses, "poses"):
+        raise ValueError("poses must be an array (K+1, 4, 4): give load_recording(path).poses.")
     poses = read_numbers("poses", poses)
     if poses.dtype.kind != "f":
         poses = poses.astype(float)

@@ -56,9 +56,7 @@ def codes_of(name: str) -> tuple[int, ...]:
     if codes:
         return codes
     words = ", ".join([*_CATALOGUE, *COMMON_WORDS])
-    raise ValueError(
-        f"No constraint {name!r}; choose from {words}, or a name that reframe-jax constraints lists."
-    )
+    raise ValueError(f"No constraint {name!r}; choose from {words}, or see reframe-jax constraints.")
 
 
 def _class_codes() -> np.ndarray:

@@ -53,7 +53,7 @@ class OnlineIdentifier:
         self._length, self._count = length, 0
         self._early: list[float] = []  # consecutive times that were refused
 
-    def push(self, pose: ArrayLike, time: float | None = None) -> Identification | None:
+    def push(self, pose: "ArrayLike", time: float | None = None) -> Identification | None:
         """Add a pose to the window, and identify the window if it is full.
 
         A time must be later than the time before it. However, the third of three consecutive, increasing

@@ -44,7 +44,7 @@ class Options(NamedTuple):
     norm: float = 0.0
     discretization: Discretization = "chord"
     thresholds: Thresholds | None = None
-    bounds: ArrayLike | None = None
+    bounds: "ArrayLike | None" = None
     solver: Solver | None = None
     key: jax.Array | None = None
 
@@ -100,6 +100,8 @@ def check_options(options: Options, poses: int) -> tuple[np.int32, Any, np.ndarr
     if key is not None and not _is_key(key):
         raise ValueError(f"key must be one key of random numbers, jax.random.key(seed), not {key!r}.")
     samples, reach = take_scales(scales, poses), check_bounds(bounds)
+    if thresholds is not None and scales == "mean":
+        raise ValueError("thresholds compare velocities, which displacements about the mean do not have.")
     if not isinstance(assume, str | None):
         raise ValueError(f"assume must be the name of a constraint, such as 'hinge', not {assume!r}.")
     codes = range(len(ENTRIES)) if assume is None else codes_of(assume)

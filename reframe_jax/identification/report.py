@@ -37,7 +37,8 @@ _RIVAL = 0.05  # smallest ratio of the probability of a tied type to that of the
 _DEVIATIONS = 3.0  # largest difference of tied types with thresholds, in standard deviations
 _AT_BOUND = 0.999  # smallest coordinate of an origin on the boundary, as a fraction of the box
 
-_FREE = np.array([entry.dof for entry in ENTRIES], np.int32)
+_FREE = np.array([entry.dof for entry in ENTRIES], np.int32)  # of rotations and of translations
+_FREE[:, 1] += [entry.pitch for entry in ENTRIES]
 _ANY_ORIGIN = np.array([[c in entry.any_origin for c in range(3)] for entry in ENTRIES])
 _NORMAL = np.array([entry.start == "normal" for entry in ENTRIES])
 

@@ -12,6 +12,7 @@ from types import EllipsisType
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -78,9 +79,8 @@ class Identification:
         if not (shape := np.shape(self.status_code)):
             return f"<Identification: {self.name}{in_brackets(self.probability)}>"
         common = Counter(name.split(":")[0] for name in self.name.ravel()).most_common(3)
-        return (
-            f"<Identification of {shape} windows: {', '.join(f'{count} {name}' for name, count in common)}>"
-        )
+        names = ", ".join(f"{count} {name}" for name, count in common)
+        return f"<Identification of {shape} windows: {names}>"
 
     def __getitem__(self, index: Index) -> "Identification":
         """Select windows of a batch by an index, as in an array."""
@@ -107,11 +107,13 @@ class Identification:
             return self.warning_codes
         velocities = int(np.sum(np.asarray(self.counted))) - 1
         speeds = np.asarray(self.angular.rms).tolist(), np.asarray(self.linear.rms).tolist()
-        return caution_sentences(int(self.warning_codes), velocities, speeds, self.probability)
+        bounds = [Status.ON_BOUNDS.message] if self.status == Status.ON_BOUNDS else []
+        return bounds + caution_sentences(int(self.warning_codes), velocities, speeds, self.probability)
 
     @property
     def entry(self) -> Constraint | None:
         """Constraint of a single window in the catalogue, not in the table; None if it has no name."""
+        check_single(self)
         code = int(self.entry_code)
         return constraint_of(code) if code >= 0 else None
 
@@ -146,11 +148,13 @@ class Identification:
         free axis that the motion did not use is reported as constrained, possibly with a high probability.
         With thresholds, the probability is NaN.
         """
-        every, codes = np.asarray(self.entry_probability, float), np.asarray(self.entry_code)
-        same = NAME_OF_ENTRY[np.maximum(codes, 0)][..., None] == NAME_OF_ENTRY
-        failed = (np.asarray(self.status_code) >= 10) | np.isnan(every[..., 0]) | (codes < 0)
-        found = np.where(failed, np.nan, np.where(same, every, 0).sum(axis=-1))
-        return found if found.ndim else float(found)
+        inside = traced(self.entry_probability)
+        xp: Any = jnp if inside else np
+        every, codes = xp.asarray(self.entry_probability), xp.asarray(self.entry_code)
+        same = xp.asarray(NAME_OF_ENTRY)[xp.maximum(codes, 0)][..., None] == NAME_OF_ENTRY
+        failed = (xp.asarray(self.status_code) >= 10) | xp.isnan(every[..., 0]) | (codes < 0)
+        found = xp.where(failed, np.nan, xp.where(same, every, 0).sum(axis=-1))
+        return found if inside or found.ndim else float(found)
 
     @property
     def constraint_frame(self) -> ConstraintFrame:
@@ -174,7 +178,7 @@ class Identification:
             position=self.linear.position,
         )
 
-    def to_joint(self, poses: ArrayLike, *, parent: str = "ground", child: str = "body") -> Joint:
+    def to_joint(self, poses: "ArrayLike", *, parent: str = "ground", child: str = "body") -> Joint:
         """Convert the constraint of a single window to a joint for robot descriptions; see :class:`Joint`.
 
         Args:

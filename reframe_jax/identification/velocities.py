@@ -31,8 +31,10 @@ def frame_velocities(
         it is NaN if one of these poses is an outlier.
 
     Raises:
-        ValueError: for an unknown discretization.
+        ValueError: for an unknown discretization, or for arrays that do not fit the identification.
     """
+    if poses.shape != (*found.counted.shape, 4, 4) or steps.shape != (len(poses) - 1,):
+        raise ValueError(f"Expected the poses and steps of one window, not {poses.shape} and {steps.shape}.")
     rates = kinematics.angular_velocities(poses, steps, discretization)[found.angular.type_code]
     maps = kinematics.linear_velocity_maps(poses, steps, discretization)[found.linear.type_code]
     velocities = maps[..., 0] + apply(maps[..., 1:], found.linear.position)

@@ -98,13 +98,13 @@ class _Plan:
 
 def fit_joint(
     frame: ConstraintFrame,
-    poses: ArrayLike,
+    poses: "ArrayLike",
     *,
     parent: str = "ground",
     child: str = "body",
     length: float = 0.3,
     pitch: float | None = None,
-    universal: ArrayLike | None = None,
+    universal: "ArrayLike | None" = None,
 ) -> Joint:
     """Fit a joint to poses that obey a constraint.
 
@@ -156,9 +156,7 @@ def fit_joint(
         if not (np.isfinite(pitch) and pitch != 0):
             raise ValueError(f"Expected a pitch in m/rad other than 0, not {pitch}.")
         if name != "Screw joint":
-            raise ValueError(
-                "Only a body with one free rotation and a translation along its axis has a pitch."
-            )
+            raise ValueError("Only a single rotation with a translation along its axis has a pitch.")
     names = {"name": name, "parent": parent, "child": child, "length": length}
     joints = [_fit(geometry, plan, names) for plan in _joint_plans(geometry)]
     return min(joints, key=lambda joint: joint.position_error, default=_without_chain(geometry, names))

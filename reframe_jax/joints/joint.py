@@ -80,7 +80,7 @@ class Joint:
             return None
         return self.parts[0].low, self.parts[0].high
 
-    def poses(self, coordinates: ArrayLike) -> np.ndarray:
+    def poses(self, coordinates: "ArrayLike") -> np.ndarray:
         """Compute poses (..., 4, 4) of the child in the parent, m, from coordinates (..., n).
 
         Coordinates are rad for hinges, m for slides, and a rotation vector in rad for a ball, in the order of
@@ -93,7 +93,7 @@ class Joint:
             raise ValueError(f"Expected coordinates of shape (..., {number}), not {values.shape}.")
         return chain_poses(self.parts, self.home, values)
 
-    def coordinates(self, poses: ArrayLike) -> np.ndarray:
+    def coordinates(self, poses: "ArrayLike") -> np.ndarray:
         """Compute the coordinates (K, n) at which the joint is nearest to poses (K, 4, 4), m.
 
         Hinge angles are unwrapped. A ValueError is raised for a joint that is not a chain, or other shapes.
@@ -117,9 +117,7 @@ class Joint:
                 "gimbal lock."
             )
         parts = tuple(hinge for part in self.parts for hinge in (part.hinges or (part,)))
-        why = (
-            "Three hinges through the centre replace the ball. The recorded range excludes their gimbal lock."
-        )
+        why = "Three hinges through the centre replace the ball. The range excludes their gimbal lock."
         return replace(self, parts=parts, gauge=(*self.gauge, why))
 
     def _check_chain(self) -> None:

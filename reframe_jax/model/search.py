@@ -85,10 +85,7 @@ def unexplained_covariance(moments: Array, rows: np.ndarray) -> Array:
     axes only. The inverse of this covariance weights the coordinates in the search for a first origin.
     The moments (F, F, N) are those over all scales; for the rows, see :func:`polynomials`.
     """
-    used = [
-        (np.flatnonzero(np.abs(of[:, 0]).any(0)), np.flatnonzero(np.abs(of[:, 1:]).any((0, 1))))
-        for of in rows
-    ]
+    used = [[np.flatnonzero(np.abs(part).any((0, 1))) for part in (of[:, :1], of[:, 1:])] for of in rows]
     found: list[Array] = [moments] * len(rows)
     for size in sorted({len(others) for _, others in used}):
         alike = [t for t, (_, others) in enumerate(used) if len(others) == size]

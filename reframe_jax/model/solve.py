@@ -221,18 +221,14 @@ def compare_windows(
     fitted = _without(fitted, ~chosen)._replace(codes=jnp.where(chosen, fitted.codes, -1))
     same = screened.codes[:, None] == fitted.codes[None]  # (E, C, N)
     screened = _without(screened, jnp.any(same, axis=1))
-    both = materialize(
-        jax.tree.map(lambda one, other: jnp.concatenate([one, other], axis=-2), screened, fitted)
-    )
+    both = materialize(jax.tree.map(lambda a, b: jnp.concatenate([a, b], axis=-2), screened, fitted))
     # an entry with its starting parameters is no standard, unless it has none
     final = np.append(TABLE.parameters == 0, np.ones(CANDIDATES, bool))
     values = log_probability(both, entries_at(both.codes), final)
     everywhere = jnp.max(jnp.where(same, values[None, number:], values[:number, None]), axis=1)
     others = jnp.broadcast_to(jnp.where(allowed[exact], exact, -1)[:, None], (len(exact), details.shape[1]))
     codes = jnp.concatenate([fitted.codes, others])
-    at = jax.tree.map(
-        lambda one, other: jnp.concatenate([one, other[..., exact, :]], axis=-2), fitted.at, starts
-    )
+    at = jax.tree.map(lambda a, b: jnp.concatenate([a, b[..., exact, :]], axis=-2), fitted.at, starts)
     parameters = _parameters(at, entries_at(codes), windows)
     return Compared(everywhere.T, codes.T, parameters)
 

@@ -43,11 +43,8 @@ def _sorted(axes: Array, size: Array) -> Array:
     columns, sizes = [axes[:, k] for k in range(3)], [size[k] for k in range(3)]
     for i, j in ((0, 1), (1, 2), (0, 1)):
         swap = sizes[i] > sizes[j]
-        columns[i], columns[j] = (
-            jnp.where(swap, columns[j], columns[i]),
-            jnp.where(swap, columns[i], columns[j]),
-        )
-        sizes[i], sizes[j] = jnp.where(swap, sizes[j], sizes[i]), jnp.where(swap, sizes[i], sizes[j])
+        for values in (columns, sizes):
+            values[i], values[j] = (jnp.where(swap, values[a], values[b]) for a, b in ((j, i), (i, j)))
     turned = total(columns[0] * cross(columns[1], columns[2]), 0)
     return jnp.stack([columns[0] * jnp.where(turned < 0, -1, 1), columns[1], columns[2]], axis=1)
 

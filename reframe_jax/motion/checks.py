@@ -29,6 +29,10 @@ class MessageCode(IntEnum):
         made._value_, made.message = code, message
         return made
 
+    def __str__(self) -> str:
+        """Return the name, such as OK."""
+        return self.name
+
 
 class Status(MessageCode):
     """Outcome of one window. A window with a code of 10 or more has no result; its numbers are NaN.

@@ -67,15 +67,11 @@ def check_objective(objective: Any) -> None:
     name = type(objective).__name__
     missing = [member for member in ("dim", "batch", "dtype", "value") if not hasattr(objective, member)]
     if missing:
-        raise ValueError(
-            f"An objective needs dim, batch, dtype and value; {name} has no {', '.join(missing)}."
-        )
+        raise ValueError(f"Objectives need dim, batch, dtype and value; {name} has no {', '.join(missing)}.")
     batch = tuple(objective.batch)
     for path, leaf in jax.tree_util.tree_leaves_with_path(objective):
         if leaf is objective:
-            raise ValueError(
-                f"An objective must be a pytree; register {name} with jax.tree_util.register_dataclass."
-            )
+            raise ValueError(f"Objectives are pytrees; register {name} by jax.tree_util.register_dataclass.")
         shape = np.shape(leaf)
         if len(shape) < len(batch) or shape[len(shape) - len(batch) :] != batch:
             raise ValueError(

@@ -53,9 +53,7 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
         axes.set_ylabel(f"reaction\n{name} [{unit}]", fontsize=FONT)
         if free[part].all():
             axes.set_axis_off()
-            axes.text(
-                0.5, 0.5, f"no reaction {name}s: all axes are free", transform=axes.transAxes, ha="center"
-            )
+            axes.text(0.5, 0.5, f"no {name}s: all axes are free", transform=axes.transAxes, ha="center")
     forces.set_xlabel("time [s]", fontsize=FONT)
     for axes in (motion, moments, forces):
         axes.tick_params(labelsize=FONT, labelbottom=axes is forces)
@@ -85,9 +83,7 @@ def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:
     for row, (index, alpha) in enumerate(zip(shown, (0.25, 0.5, 1.0), strict=True)):
         points, origin = _joint_points(np.asarray(made.joint_positions[index]), arm), extent[1][row]
         extent.append(points)
-        axes.plot(
-            *points.T, "o-", color=BODY, linewidth=3.5, markersize=4, alpha=alpha, solid_capstyle="round"
-        )
+        axes.plot(*points.T, "o-", color=BODY, lw=3.5, markersize=4, alpha=alpha, solid_capstyle="round")
         segment(axes, path[index], origin, linestyle=":", color="black", linewidth=1, alpha=alpha)
         turning = 0.12 * located.angular_axes[row].T[turns]
         draw_frame(axes, origin, 0.13 * located.linear_axes[row], turning, truth.linear_dof, alpha)

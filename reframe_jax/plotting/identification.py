@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 
 
 def plot_identification(
-    poses: ArrayLike,
+    poses: "ArrayLike",
     found: Identification,
     *,
-    times: ArrayLike,
+    times: "ArrayLike",
     thresholds: Thresholds | None = None,
     discretization: Discretization = "chord",
     title: str | None = None,
-    left_out: ArrayLike = (),
+    left_out: "ArrayLike" = (),
 ) -> "Figure":
     """Draw one window: its linear frame in space, and the amplitudes and velocities along the axes.
 

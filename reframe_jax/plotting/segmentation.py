@@ -19,7 +19,7 @@ _AT_REST = "#DDDDDD"
 _STEPS = 8  # velocities are differences over the motion time divided by this number
 
 
-def plot_segmentation(poses: ArrayLike, found: Segmentation, *, title: str | None = None) -> "Figure":
+def plot_segmentation(poses: "ArrayLike", found: Segmentation, *, title: str | None = None) -> "Figure":
     """Draw a time line of constraints, and the velocities along the axes of the frame of each segment.
 
     Segments with the same constraint have the same colour; a body at rest is grey. A dark band around each

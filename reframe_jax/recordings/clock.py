@@ -133,9 +133,8 @@ def sort_times(rows: Rows) -> None:
         behind = np.sum(rows.times < np.maximum.accumulate(rows.times))
         step = np.median(steps[steps > 0]) if (steps > 0).any() else 0.0
         # parts in another order, whose times have no gaps and do not overlap
-        swapped = (
-            np.sum(np.diff(order) != 1) <= len(late) and np.diff(rows.times[order]).max() < _STEPS * step
-        )
+        swapped = np.diff(rows.times[order]).max() < _STEPS * step
+        swapped &= np.sum(np.diff(order) != 1) <= len(late)
         back = f"the time goes back from {rows.times[now - 1]:g} s to {rows.times[now]:g} s, and the "
         goes_on = (moved[late] < _STEPS * np.quantile(moved, 0.9)).all() and not swapped
         if behind > _BEHIND * len(late) and goes_on:
@@ -175,9 +174,7 @@ def drop_equal_times(rows: Rows) -> None:
     other = again & ~same
     if other.any() and not np.ptp(times):
         stamp = rows.origin or f"{times[0]:g}"
-        raise RecordingError(
-            f"{rows.path}: all times are {stamp} (never set); give the sample time, dt (--dt)."
-        )
+        raise RecordingError(f"{rows.path}: all times are {stamp} (unset); give the sample time, dt (--dt).")
     if other.sum() > _COARSE * len(again):
         raise RecordingError(
             f"{rows.path}: its {len(again)} rows have only {int(np.sum(~again))} different times; the times "

@@ -4,7 +4,6 @@ Systems that lose a body still write a pose: the origin, the identity, another c
 again and again, some with a little noise. Measured poses have noise and do not repeat exactly, and a body at
 rest stays on its path. Therefore, repeats are lost poses if they are distant from the path before and after
 them, in units of the steps of the path. Repeats that continue the path are a body at rest, and are kept.
-NumPy only.
 """
 
 import numpy as np

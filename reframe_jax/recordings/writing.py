@@ -12,7 +12,7 @@ from reframe_jax.recordings.recording import HEADER, RecordingError, Rows, writi
 
 
 def save_recording(
-    path: str | Path, times: ArrayLike, poses: ArrayLike, *, wrenches: ArrayLike | None = None
+    path: str | Path, times: "ArrayLike", poses: "ArrayLike", *, wrenches: "ArrayLike | None" = None
 ) -> None:
     """Write a recording: a ``.csv`` of ``t,x,y,z,qx,qy,qz,qw``, or an ``.npz`` of ``times`` and ``poses``.
 

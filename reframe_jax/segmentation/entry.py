@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import traced
-from reframe_jax.identification.entry import identify_unchecked
+from reframe_jax.identification.entry import identify_unchecked, name_bad_rows
 from reframe_jax.identification.inputs import take_steps
 from reframe_jax.identification.options import Options
 from reframe_jax.identification.results import Identification
@@ -28,7 +28,9 @@ _INTERVAL = 0.025, 0.975  # quantiles of the interval of a border
 _FEWEST = 8  # fewest poses of a segment that can be identified
 
 
-def segment(poses: ArrayLike, *, times: ArrayLike | None = None, dt: ArrayLike | None = None) -> Segmentation:
+def segment(
+    poses: "ArrayLike", *, times: "ArrayLike | None" = None, dt: "ArrayLike | None" = None
+) -> Segmentation:
     """Find where the constraint of a recording changes, and identify each part.
 
     A constraint holds some coordinates of the motion, for example the height of the tip of a tool above a
@@ -202,6 +204,6 @@ def _checked(poses: Any, times: Any, dt: Any) -> tuple[np.ndarray, np.ndarray]:
     steps = np.asarray(take_steps(poses, times, dt), float)
     status = Status(int(window_status(poses, steps)))
     if status.failed:
-        raise ValueError(status.message)
+        raise ValueError(status.message + name_bad_rows(status, poses, steps))
     first = 0.0 if times is None else float(np.asarray(times, float)[0])
     return poses, first + np.concatenate([[0], np.cumsum(steps)])

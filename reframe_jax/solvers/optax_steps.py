@@ -45,9 +45,8 @@ class OptaxSteps(BatchSteps):
             gradient = jnp.where(jnp.isfinite(gradient), gradient, 0)
             better = value < best
             best_z, best = jnp.where(better, z, best_z), jnp.where(better, value, best)
-            updates, state = transformation.update(
-                gradient, state, z, value=value, grad=gradient, value_fn=value_of
-            )
+            extra = {"value": value, "grad": gradient, "value_fn": value_of}
+            updates, state = transformation.update(gradient, state, z, **extra)
             moved = z + updates
             return (jnp.where(jnp.isfinite(moved), moved, best_z), state, best_z, best), None
 

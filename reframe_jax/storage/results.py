@@ -30,11 +30,11 @@ _LISTED = 8  # largest number of missing parts in a message
 
 
 def identify_many(
-    windows: ArrayLike | Iterable[ArrayLike],
+    windows: "ArrayLike | Iterable[ArrayLike]",
     out: str | Path,
     *,
-    times: ArrayLike | None = None,
-    dt: ArrayLike | None = None,
+    times: "ArrayLike | None" = None,
+    dt: "ArrayLike | None" = None,
     part_size: int = 8192,
     parts: Iterable[int] | None = None,
     progress: Progress | bool | None = None,
@@ -78,6 +78,8 @@ def identify_many(
     source: Any = windows
     given = {name: values for name, values in (("times", times), ("dt", dt)) if values is not None}
     total = len(source) if hasattr(source, "shape") else None
+    if total is not None and len(source.shape) != 4:
+        raise ValueError(f"windows must have shape (N, K+1, 4, 4), not {source.shape}.")
     wanted = None if parts is None else set(_part_numbers(parts))
     _check_numbers(wanted, total, part_size)
     depends_on = describe_options(identify, options, without=("times", "dt"))

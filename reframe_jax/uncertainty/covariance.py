@@ -112,10 +112,10 @@ def move(found: Identification, change: jax.Array) -> Identification:
 
 def covariance(
     found: Identification,
-    poses: ArrayLike,
+    poses: "ArrayLike",
     *,
-    times: ArrayLike | None = None,
-    dt: ArrayLike | None = None,
+    times: "ArrayLike | None" = None,
+    dt: "ArrayLike | None" = None,
     scales: Scales = "auto",
     errors: Errors = "measured",
     method: Method = "derivative",

@@ -49,7 +49,7 @@ class MotionAdvice:
 
 
 def next_motion(
-    found: Identification, poses: ArrayLike, *, times: ArrayLike, duration: float = 2.0
+    found: Identification, poses: "ArrayLike", *, times: "ArrayLike", duration: float = 2.0
 ) -> MotionAdvice:
     """Rank small motions by the reduction of the covariance if the recording contained them (D-optimality).
 
@@ -72,6 +72,10 @@ def next_motion(
             ``found``.
     """
     check_single(found)
+    if found.status.failed or np.isfinite(found.pitch) or np.isfinite(found.universal_axes).all():
+        raise ValueError(f"No motions of separate axes for this result: {found.name}.")
+    if not 0 < duration < np.inf:
+        raise ValueError(f"duration must be a positive number of seconds, not {duration}.")
     free = np.flatnonzero(np.concatenate([found.angular.dof, found.linear.dof]))
     if not len(free):
         raise ValueError("The identified constraint has no free axis, so no motion is possible.")

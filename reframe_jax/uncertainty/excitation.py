@@ -71,10 +71,10 @@ class Excitation:
 
 def excitation(
     found: Identification,
-    poses: ArrayLike,
+    poses: "ArrayLike",
     *,
-    times: ArrayLike | None = None,
-    dt: ArrayLike | None = None,
+    times: "ArrayLike | None" = None,
+    dt: "ArrayLike | None" = None,
     scales: Scales = "auto",
 ) -> Excitation:
     """Compute the degrees of freedom of a constraint that a motion tested.

@@ -86,9 +86,9 @@ class Refit(NamedTuple):
 def over_windows(
     function: Callable[..., Any],
     found: Identification,
-    poses: ArrayLike,
-    times: ArrayLike | None,
-    dt: ArrayLike | None,
+    poses: "ArrayLike",
+    times: "ArrayLike | None",
+    dt: "ArrayLike | None",
     scales: Scales,
     **static: Any,
 ) -> Any:
@@ -189,9 +189,8 @@ def _moments_of_parts(window: Prepared, parts: str, about_mean: Array) -> tuple[
     values, count = window.features.values, window.length
     every = jnp.arange(values.shape[2], dtype=jnp.int32)
     if parts == "spans":
-        first, end = (
-            jnp.stack([count * (part + i) // number for part, number in SPANS], axis=1) for i in (0, 1)
-        )
+        part, number = np.array(SPANS, np.int32).T
+        first, end = (count[:, None] * (part + i) // number for i in (0, 1))
         place = first[:, :, None] + every[: -(-values.shape[2] // 2)]
         own = place < end[:, :, None]
         place, length = jnp.minimum(place, values.shape[2] - 1), end - first

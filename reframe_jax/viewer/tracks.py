@@ -62,7 +62,7 @@ class WindowTrack:
 
 
 def track_window(
-    poses: ArrayLike, times: ArrayLike, found: Identification, *, covariance: ArrayLike | None = None
+    poses: "ArrayLike", times: "ArrayLike", found: Identification, *, covariance: "ArrayLike | None" = None
 ) -> WindowTrack:
     """Compute the data of the page for a window of poses (K+1, 4, 4), m, at times (K+1,), s.
 

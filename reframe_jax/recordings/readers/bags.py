@@ -71,9 +71,7 @@ class _Samples:
         rows = Rows(path, "message", np.arange(len(stamps)), np.asarray(self.values).reshape(-1, 7), None)
         zero = 2 * np.count_nonzero(stamps) <= len(stamps)
         if not static and (zero or (len(stamps) > 1 and not np.ptp(stamps))):
-            why = (
-                "most messages have no stamp, or the stamp 0" if zero else "all messages have the same stamp"
-            )
+            why = "most messages have no stamp, or 0" if zero else "all messages have the same stamp"
             rows.notes.append(f"{why}: the times are those at which the messages were recorded.")
             stamps = np.asarray(self.logged)
         if stamps.any():

@@ -73,9 +73,7 @@ def set_poses(
                 f"{flag(option)}."
             )
         if width != its_width and given:
-            raise RecordingError(
-                f"{rows.path}: has {width} numbers of an orientation; leave out {flag(option)}."
-            )
+            raise RecordingError(f"{rows.path}: has {width} orientation numbers; leave out {flag(option)}.")
     if width == 3:
         rows.angles = read_angles(rows.path, orientations, wanted, stated, by_axis=not named)
         orientations = rows.angles.matrices()

@@ -65,9 +65,7 @@ def _numbers_of_batch(path: Path, batch: Any, column: Column) -> np.ndarray:
         if cells.null_count or len(flat) % max(len(cells), 1):
             raise RecordingError(f"{path}: the lists of {shown(column.name, 80)} have different lengths.")
     if not any(word in str(flat.type) for word in ("float", "double", "int")) or "list<" in str(flat.type):
-        raise RecordingError(
-            f"{path}: expected numbers in {shown(column.name, 80)}, found {shown(kind, 80)}."
-        )
+        raise RecordingError(f"{path}: expected numbers in {shown(column.name, 80)}, not {shown(kind, 80)}.")
     return flat.to_numpy(zero_copy_only=False).astype(float).reshape(len(cells), -1)[:, column.part]
 
 

@@ -137,9 +137,7 @@ def stored_demonstrations(folder: str | Path) -> Iterator[Demonstration]:
     run = Run.open(Path(folder), NPZ, _KIND)
     numbers = list(run.parts)
     if missing := sorted(set(range(numbers[-1])) - set(numbers)):
-        raise ValueError(
-            f"{folder} is incomplete: parts {missing[:8]} are missing. Run store_demonstrations again."
-        )
+        raise ValueError(f"{folder}: parts {missing[:8]} are missing. Run store_demonstrations again.")
     for number in numbers:
         part = run.read(number)
         truth = {name: part.pop(f"true_{name}") for name in ConstraintFrame.__dataclass_fields__}

@@ -117,7 +117,7 @@ class SequenceDemonstration:
 
 
 def frame_on_arm(
-    constraint: str | ConstraintFrame, arm: str | Arm = PANDA, *, start: ArrayLike | None = None
+    constraint: str | ConstraintFrame, arm: str | Arm = PANDA, *, start: "ArrayLike | None" = None
 ) -> ConstraintFrame:
     """Place a named constraint so that the arm can move under the constraint; return a frame unchanged.
 
@@ -152,7 +152,7 @@ def demonstrate(
     spread: tuple[float, float] = (0.0, 0.0),
     imperfections: Imperfections = Imperfections(),  # noqa: B008
     arm: str | Arm = PANDA,
-    start: ArrayLike | None = None,
+    start: "ArrayLike | None" = None,
 ) -> Demonstration:
     """Simulate a hand that guides the arm under a constraint.
 
@@ -200,7 +200,7 @@ def demonstrate_sequence(
     spread: tuple[float, float] = (0.0, 0.0),
     imperfections: Imperfections = Imperfections(),  # noqa: B008
     arm: str | Arm = PANDA,
-    start: ArrayLike | None = None,
+    start: "ArrayLike | None" = None,
 ) -> SequenceDemonstration:
     """Simulate a hand that guides the arm under several constraints, one after the other.
 

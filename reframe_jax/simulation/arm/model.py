@@ -73,7 +73,7 @@ class Arm:
         """(7,) N m s/rad, viscous friction of the joints in guiding mode."""
         return self.model.dof_damping
 
-    def start(self, joints: ArrayLike | None, dtype: DTypeLike) -> jax.Array:
+    def start(self, joints: "ArrayLike | None", dtype: DTypeLike) -> jax.Array:
         """Convert joint positions (..., 7), rad, to an array; None gives the home configuration."""
         return jnp.asarray(self.home if joints is None else joints, dtype=dtype)
 

@@ -48,10 +48,8 @@ class Comparison:
 
     def excess(self) -> tuple[jax.Array, jax.Array]:
         """Peak moments (N,), N m, and forces (N,), N, of identified frames, minus those of exact frames."""
-        return (
-            self.identified.peak_moment - self.exact.peak_moment,
-            self.identified.peak_force - self.exact.peak_force,
-        )
+        found, exact = self.identified, self.exact
+        return found.peak_moment - exact.peak_moment, found.peak_force - exact.peak_force
 
     @property
     def rows(self) -> dict[str, Trials]:
@@ -123,7 +121,7 @@ def compare(
 
 
 def matched_choices(
-    found: Identification, truth: ConstraintFrame, *, arm: str | Arm = PANDA, start: ArrayLike = ROOMY
+    found: Identification, truth: ConstraintFrame, *, arm: str | Arm = PANDA, start: "ArrayLike" = ROOMY
 ) -> Frame:
     """Return the identified frames (N), with true origins and axes in place of arbitrary origins and axes.
 

@@ -105,7 +105,7 @@ def reproduce(
     *,
     controller: Controller = constant_wrench(),  # noqa: B008
     arm: str | Arm = PANDA,
-    start: ArrayLike = ROOMY,
+    start: "ArrayLike" = ROOMY,
     compliance: tuple[float, float] = (0.0, 0.0),
 ) -> Trials:
     """Move the arm from end-stop to end-stop with a controller in given frames, with gravity compensation.
