@@ -436,6 +436,12 @@ def test_outputs_replace_neither_recordings_nor_each_other(
     assert recording.read_bytes() == door.read_bytes()
 
 
+def test_sentences_are_not_dropped_without_a_word(door: Path, capsys: Captured) -> None:
+    with pytest.raises(SystemExit):
+        program.main(["identify", str(door), "--json", "-", "--explain"])
+    assert "--explain prints sentences, and --json - only JSON" in capsys.readouterr().err
+
+
 def test_a_summary_with_thresholds_has_no_probabilities(door: Path, capsys: Captured) -> None:
     arguments = ["identify", "--no-cache", "--summary", "--angular-threshold", "0.1", str(door)]
     assert program.main(arguments) == 0

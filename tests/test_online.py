@@ -91,6 +91,8 @@ def test_a_sample_time_that_is_not_positive_is_refused():
 
 
 def test_a_window_too_short_is_refused():
+    with pytest.raises(TypeError, match="has no option lag; choose from scales, assume, "):
+        rf.OnlineIdentifier(20, dt=0.1, lag=3)  # type: ignore[call-arg]
     with pytest.raises(ValueError, match="at least 5 poses"):
         rf.OnlineIdentifier(4)
 

@@ -152,6 +152,8 @@ def run(options: argparse.Namespace) -> int:
     for name in ("plot", "explain"):
         if getattr(options, name) and options.window is not None:
             options.usage_error(f"--{name} needs a whole recording: remove --window.")
+    if options.explain and options.json == "-":
+        options.usage_error("--explain prints sentences, and --json - only JSON: remove one of them.")
     arguments.configure_jax(options.cache)
     records: list[dict[str, Any]] = []
     tables: list[Columns] = []
@@ -209,7 +211,7 @@ def _print_and_draw(
             print_result(rows, end="\n\n")
     if all(status.failed for status in statuses):
         raise RecordingError(f"{path}: {statuses[0].message}")
-    if options.explain and options.json != "-":
+    if options.explain:
         from reframe_jax.uncertainty.covariance import covariance
         from reframe_jax.uncertainty.excitation import excitation
 

@@ -43,6 +43,9 @@ class OnlineIdentifier:
             raise ValueError(f"dt must be a positive number of seconds, not {dt}.")
         if dt is not None:
             check_step(dt)
+        if unknown := sorted(options.keys() - Options._fields):
+            known = ", ".join(Options._fields)
+            raise TypeError(f"OnlineIdentifier has no option {', '.join(unknown)}; choose from {known}.")
         given = Options(**options)
         check_options(given, length)
         self._dt = dt

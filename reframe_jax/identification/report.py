@@ -92,9 +92,8 @@ def _report_window(
     axes = jax.vmap(fix_signs)(jnp.concatenate([types.angular_axes, types.linear_axes]))
     types = types._replace(angular_axes=axes[:2], linear_axes=axes[2:])
     if thresholds is None:
-        winner = winner_of_window(
-            searched, cast(Compared, compared), Data(used.products, used.details, mean, window.box)
-        )
+        data = Data(used.products, used.details, mean, window.box)
+        winner = winner_of_window(searched, cast(Compared, compared), data)
     else:
         angular_dof = (types.angular_rms > thresholds.angular).astype(jnp.int32)
         linear_dof = (types.linear_rms > thresholds.linear).astype(jnp.int32)

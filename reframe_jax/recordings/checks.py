@@ -246,9 +246,8 @@ def leave_out_lost(rows: Rows, poses: np.ndarray) -> np.ndarray:
         note = f"{name_rows(rows.word, where[mine])} left out, as tracking was lost: {why}{jump}."
         rows.keep(~np.isin(rows.where, where[mine]), why, kind, note)
     if kept.sum() < _FEW and kept.sum() < _FEW_FRACTION * len(poses):
-        raise RecordingError(
-            f"{rows.path}: only {kept.sum()} of {len(poses)} poses are left; " + " ".join(rows.notes[-2:])
-        )
+        notes = " ".join(rows.notes[-2:])
+        raise RecordingError(f"{rows.path}: only {kept.sum()} of {len(poses)} poses are left; {notes}")
     return poses[kept]
 
 

@@ -57,9 +57,8 @@ class _Parquet:
         arrow = self.library()
         table = arrow.table({name: _to_arrow(arrow, np.asarray(array)) for name, array in arrays.items()})
         # dictionary encoding merges numbers that compare equal but differ in their bits, such as 0 and -0
-        arrow.parquet.write_table(
-            table.replace_schema_metadata({_HEADER: header}), file, use_dictionary=False
-        )
+        table = table.replace_schema_metadata({_HEADER: header})
+        arrow.parquet.write_table(table, file, use_dictionary=False)
 
     def read(self, stream: BinaryIO) -> tuple[dict[str, Any], str]:
         table = self.library().parquet.read_table(stream)

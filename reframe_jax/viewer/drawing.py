@@ -65,9 +65,7 @@ class Drawing:
         self._path("path", window.poses[window.counted, :3, 3], BODY, 0.006)
         if len(out := window.poses[~window.counted, :3, 3]):
             colour = _rgb(OUTLIERS["color"])
-            scene.add_point_cloud(
-                "/motion/outliers", out, colour, point_size=0.02 * size, precision="float32"
-            )
+            scene.add_point_cloud("/motion/outliers", out, colour, point_size=size / 50, precision="float32")
         body = scene.add_frame("/motion/body", axes_length=0.12 * size, axes_radius=0.004 * size)
         self._moving = {"body": body}
         box = np.full(3, 0.06 * size)

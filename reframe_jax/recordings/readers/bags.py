@@ -168,9 +168,7 @@ def _read_topic(path: Path, bag: _Bag, wanted: Selection) -> Rows:
     if wanted.topic in tf:
         raise RecordingError(f"{path}: {wanted.topic} contains tf frames; {two}, instead of {flag('topic')}.")
     if tf and not names:
-        raise RecordingError(
-            f"{path}: has no topics of poses, but tf frames; {two}; reframe-jax topics lists them."
-        )
+        raise RecordingError(f"{path}: has no topics of poses, but tf frames; {two}; see reframe-jax topics.")
     topic = choose_name(path, "topic", wanted.topic, names, "topics of poses")
     chosen = [each for each in known if each.topic == topic]
     if wanted.to_frame is not None and any(each.msgtype != _TRANSFORM for each in chosen):
