@@ -13,7 +13,7 @@ import numpy as np
 
 from reframe_jax.constraints.types import ORIENTATION_BODIES, AngularType
 from reframe_jax.geometry.rotations import rotation_log
-from reframe_jax.geometry.small import diagonalize
+from reframe_jax.geometry.small import diagonalize, times
 from reframe_jax.identification.optima import TURN_KINDS, Types, rms_velocities
 from reframe_jax.identification.winner import Winner
 from reframe_jax.model import features as z
@@ -121,13 +121,13 @@ def _rows_along(axes: Array, rows: Array, dof: Array, whole: Array) -> Rows:
 def _eigenvectors(covariance: Array, together: Array) -> Array:
     """Return the eigenvectors of the blocks of a covariance (3, 3), with their first derivative."""
     turn = diagonalize(jax.lax.stop_gradient(covariance)[:, :, None])
-    seen = turn.T @ covariance @ turn
+    seen = times(times(turn.T, covariance), turn)
     size = jax.lax.stop_gradient(jnp.diagonal(seen))
     gap = size[None, :] - size[:, None]
     apart = together & (jnp.abs(gap) > 1e-9 * jnp.max(size))
     # the change is zero, but its derivative is not
     change = jnp.where(apart, (seen - jax.lax.stop_gradient(seen)) / jnp.where(apart, gap, 1), 0)
-    return turn + turn @ change
+    return turn + times(turn, change)
 
 
 def _turns_less_in_ground(axes: Array, weights: Array, whole: Array) -> Array:
@@ -158,7 +158,7 @@ def fix_signs(axes: Array) -> Array:
 def rotation_vector(axes: Array, dof: Array) -> Array:
     """Return the rotation vector of axes; rotations among free or constrained axes have no derivative."""
     fixed = jax.lax.stop_gradient(axes)
-    turn = fixed.T @ axes
+    turn = times(fixed.T, axes)  # a GPU multiplies many small matrices slowly
     at_rest = jax.lax.stop_gradient(turn)
     distinct = (dof[:, None] != dof[None, :]).astype(axes.dtype)
-    return rotation_log(fixed @ (at_rest + distinct * (turn - at_rest)))
+    return rotation_log(times(fixed, at_rest + distinct * (turn - at_rest)))
