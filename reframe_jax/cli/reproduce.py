@@ -61,9 +61,8 @@ def run(options: argparse.Namespace) -> int:
         peaks = trials.peak_moment, trials.peak_force
         cells = [f"{np.mean(peak):.2f} ± {np.std(peak):.2f}" for peak in peaks]
         time = np.median(trials.completion_time)
-        print_result(
-            f"{name:12}{100 * np.mean(trials.completed):>8.0f} %{time:>9.2f}{cells[0]:>22}{cells[1]:>20}"
-        )
+        done = 100 * np.mean(trials.completed)
+        print_result(f"{name:12}{done:>8.0f} %{time:>9.2f}{cells[0]:>22}{cells[1]:>20}")
     excess = [f"{np.mean(e):+.2f} ± {np.std(e):.2f}" for e in comparison.excess()]
     print_result(f"{'identified over exact':31}{excess[0]:>22}{excess[1]:>20}")
     if not np.all(comparison.identified.completed):

@@ -49,10 +49,9 @@ def plain(value: Any) -> Any:
 
 def format_probability(value: float | None) -> str:
     """Format a probability with two digits, never as 0 or 1; "-" for None or NaN."""
-    value = np.nan if value is None else value
-    return (
-        "<0.01" if value < 0.01 else ">0.99" if value > 0.99 else "-" if np.isnan(value) else f"{value:.2f}"
-    )
+    if value is None or np.isnan(value):
+        return "-"
+    return "<0.01" if value < 0.01 else ">0.99" if value > 0.99 else f"{value:.2f}"
 
 
 def align_columns(rows: Sequence[Sequence[str]]) -> list[str]:

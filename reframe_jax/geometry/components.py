@@ -244,9 +244,8 @@ def _gather(params: dict[str, Any], value: np.ndarray, indices: np.ndarray) -> n
     dimensions, sizes = params["dimension_numbers"], params["slice_sizes"]
     inner, batch = dimensions.offset_dims, dimensions.operand_batching_dims
     gone = (*dimensions.collapsed_slice_dims, *batch)
-    within, outside = (
-        iter(s) for s in ([size for k, size in enumerate(sizes) if k not in gone], indices.shape[:-1])
-    )
+    inside = [size for k, size in enumerate(sizes) if k not in gone]
+    within, outside = iter(inside), iter(indices.shape[:-1])
     number = indices.ndim - 1 + len(inner)
     places = np.indices([next(within if k in inner else outside) for k in range(number)])
     outer = [places[k] for k in range(number) if k not in inner]

@@ -206,9 +206,8 @@ def _still_open(found: Any, tested: Tested | None) -> list[str]:
         advice.append("try to turn the body about other axes, and to push it in other directions")
     if tested is not None and bool(tested.steady):
         doubts.append("one velocity was constant, so the mechanism may allow more motion")
-        advice.append(
-            "move back and forth along every free axis, with a different, changing speed along each"
-        )
+        sweep = "move back and forth along every free axis, with a different, changing speed along each"
+        advice.append(sweep)
     elif tested is not None and not path and int(tested.motions) < int(tested.free):
         doubts.append(f"only {int(tested.motions)} of {int(tested.free)} free axes moved independently")
         advice.append("move along one axis after the other")

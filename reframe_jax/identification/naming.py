@@ -50,9 +50,8 @@ def codes_of(name: str) -> tuple[int, ...]:
         ValueError: for an unknown name; the message lists the labels and the common words.
     """
     wanted = COMMON_WORDS.get(name.casefold(), name).casefold()
-    codes = tuple(
-        i for i, entry in enumerate(ENTRIES) if wanted in (entry.label.casefold(), name_of(i).casefold())
-    )
+    words_of = [(each.label.casefold(), name_of(i).casefold()) for i, each in enumerate(ENTRIES)]
+    codes = tuple(i for i, both in enumerate(words_of) if wanted in both)
     if codes:
         return codes
     words = ", ".join([*_CATALOGUE, *COMMON_WORDS])

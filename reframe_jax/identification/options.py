@@ -125,9 +125,8 @@ def check_bounds(bounds: Any) -> Any:
         return None
     value = read_numbers("bounds", bounds)
     if value.ndim:
-        raise ValueError(
-            f"bounds must be one length in m, half the width of a cube, not an array of shape {value.shape}."
-        )
+        wanted = "one length in m, half the width of a cube"
+        raise ValueError(f"bounds must be {wanted}, not an array of shape {value.shape}.")
     if not traced(value) and not 0 < float(value) <= _FARTHEST:
         raise ValueError(f"bounds must be positive and at most {_FARTHEST:g} m, not {float(value):g}.")
     return value

@@ -291,9 +291,8 @@ def _gauge(geometry: _Geometry, plan: _Plan, parts: Sequence[JointPart], child: 
     if plan.type == "screw" and geometry.pitch is not None:
         hand = "right" if geometry.pitch > 0 else "left"
         lead = 2e3 * np.pi * abs(geometry.pitch)
-        sentences.append(
-            f"The {child} slides {lead:.4g} mm along the axis per turn; the thread is {hand}-handed."
-        )
+        turn = f"{lead:.4g} mm along the axis per turn"
+        sentences.append(f"The {child} slides {turn}; the thread is {hand}-handed.")
     if kinds and set(kinds) == {"slide"}:
         sentences.append(f"Any point is equally valid; the origin of the {child} at zero is given.")
     if not kinds:

@@ -59,9 +59,8 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
         axes.tick_params(labelsize=FONT, labelbottom=axes is forces)
         if axes.get_legend_handles_labels()[0]:
             axes.axhline(0, color="black", linewidth=0.5)
-            axes.legend(
-                loc="lower left", bbox_to_anchor=(0, 1), ncols=3, fontsize=FONT, frameon=False, borderpad=0.1
-            )
+            place: Any = {"loc": "lower left", "bbox_to_anchor": (0, 1), "borderpad": 0.1}
+            axes.legend(**place, ncols=3, fontsize=FONT, frameon=False)
         axes.set_xlim(0, float(made.times[-1]))
     return figure
 

@@ -23,6 +23,7 @@ _SMALL = 3.0  # span of positions in the unit of the file, below which they are 
 _FASTEST, _FAST = 30.0, 8.0  # rad/s, of angles in rad: refused, and noted
 _ROTATION_ERROR = 1e-4, 1e-2  # noted (above the rounding of printed numbers), and refused
 _ROUNDED = 1e-6  # rounding error of the last row of a matrix
+_ACROSS, _ALTERNATE = 5.0, 0.4  # step between bodies over a later step of one, and fraction of such steps
 _STALE = 0.05  # fraction of repeated poses that is noted
 _BLOCK = 2**14  # rows per block, so that intermediate arrays stay small
 _WHY = {
@@ -74,6 +75,10 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> tuple[n
     rows.keep(kept, why, "far")
     poses = poses[kept]
     positions, count = poses[:, :3, 3], len(poses)
+    if count >= _MANY:
+        ahead = [np.linalg.norm(positions[k : count - 4 + k] - positions[:-4], axis=1) for k in range(1, 5)]
+        if np.mean(ahead[0] > _ACROSS * np.min(ahead[1:], axis=0) + 1e-3) > _ALTERNATE:
+            raise rows.error(1, "the poses of several bodies alternate: keep the rows of one.")
     middle = np.median(positions, axis=0)
     span = float(np.linalg.norm(np.ptp(positions, axis=0)))
     distance = np.linalg.norm(positions - middle, axis=1)

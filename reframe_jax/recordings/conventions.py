@@ -105,7 +105,7 @@ def _other_readings(
         remedy = f"order in the file; if it is {other}, give quaternion={other!r} (--quaternion {other})"
         meant = f"in the order {other}"
         return f"the quaternions are read in the order {rows.order}", [(meant, remedy, turned)]
-    if rows.values.shape[1] > 7 and rows.angles is None and "body" not in options:
+    if rows.values.shape[1] > 7 and rows.angles is None and "in_body" not in options:
         meant = "if they are read column by column"
         return "the matrices are read row by row", [(meant, "order in the file", own.swapaxes(1, 2))]
     return "", []

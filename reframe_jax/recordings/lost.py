@@ -8,6 +8,8 @@ them, in units of the steps of the path. Repeats that continue the path are a bo
 
 import numpy as np
 
+from reframe_jax.recordings.recording import is_path
+
 _SAME = 1e-9  # m, or difference of elements of rotation matrices, within which numbers are equal
 _LEAST = 1e-3  # m or rad, shortest step that counts, because quantized numbers repeat too
 _JUMP_STEPS = 5.0  # length of a jump in usual steps of the path
@@ -123,7 +125,7 @@ def _at_origin(paths: tuple[_Path, _Path], kinds: np.ndarray) -> None:
         runs = path.runs
         lengths = np.diff(runs, axis=1)[:, 0]
         away = path.zero[runs[:, 0]]
-        if path is not position or not _is_apart(path):
+        if path is not position or is_path(path.numbers) or not _is_apart(path):
             # at one end of a run, the path may be close to the origin by chance
             jumps = path.jumps(runs, _ORIGIN_JUMP_STEPS, path.zero)
             away &= np.where(lengths > 1, jumps[:, 1], jumps[:, 0])
@@ -198,7 +200,7 @@ def _noisy(paths: tuple[_Path, _Path], kinds: np.ndarray) -> None:
         # at an end of the path, only the origin is known not to be a pose
         known = np.stack([before >= 0, after < len(pieces)])
         inside &= several & known.all(axis=0)
-        zero &= inside | (several & ~known.all(axis=0) & (distant & known).any(axis=0))
+        zero &= several & np.where(known.all(axis=0), distant.all(axis=0), (distant & known).any(axis=0))
         turn = paths[1]
         identity = _reaches(turn.numbers, turn.origin, starts) < _STILL if path is not turn else zero
         lost = np.where(zero, np.where(identity, "identity", "origin"), np.where(inside, "constant", ""))
@@ -294,7 +296,8 @@ def _mark_rests(
     between = np.sort(steps[stops[:, None] + np.arange(-_LONG, -1)], axis=1)
     known = jumps > np.maximum(afters[:, -1], reaches) + _LEAST
     known &= np.linalg.norm(numbers[stops + _AHEAD] - numbers[stops], axis=1) >= reaches
-    # noise, and no exact repeats or another jump
+    # noise instead of a steady motion, and no exact repeats or another jump
+    known &= np.linalg.norm(held[:, -1] - held[:, 0], axis=1) < 0.7 * between.sum(axis=1)
     known &= (between[:, 0] > 0) & (between[:, -1] <= _SUDDEN * between[:, -2])
     bends: np.ndarray | None = None
     for i in np.flatnonzero(known):
@@ -329,6 +332,8 @@ def _first_near(numbers: np.ndarray, centre: np.ndarray, reach: float) -> int:
 
 def _stops_dead(path: _Path, start: int) -> bool:
     """Return whether the body moves, with noise, up to a row from which the pose repeats exactly."""
+    if (path.steps[max(start - _AHEAD, 0) : start] == 0).any():  # it comes to rest, in rounded numbers
+        return False
     rows = path.numbers[max(start - _PAST, 0) : start + 1]
     rows = rows[np.append(True, (np.diff(rows, axis=0) != 0).any(axis=1))]
     if len(rows) < _NEAR:

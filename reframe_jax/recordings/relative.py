@@ -90,6 +90,5 @@ def origin_shift(path: Path, origin: str | None, other: str | None) -> float:
     try:
         return float(Decimal(origin or 0) - Decimal(other or 0))
     except InvalidOperation as error:
-        raise RecordingError(
-            f"{path}: expected origins that are numbers of seconds, not {origin!r} and {other!r}."
-        ) from error
+        both = f"{origin!r} and {other!r}"
+        raise RecordingError(f"{path}: expected origins that are numbers of seconds, not {both}.") from error

@@ -27,9 +27,8 @@ def save_recording(
     """
     path, times, poses = Path(path), np.asarray(times, dtype=float), np.asarray(poses, dtype=float)
     if not times.size or times.ndim != 1 or poses.shape != (len(times), 4, 4):
-        raise RecordingError(
-            f"{path}: expected times (N,) and poses (N, 4, 4), N > 0, not {times.shape} and {poses.shape}."
-        )
+        found = f"{times.shape} and {poses.shape}"
+        raise RecordingError(f"{path}: expected times (N,) and poses (N, 4, 4), N > 0, not {found}.")
     if not (np.isfinite(times).all() and np.isfinite(poses).all()):
         raise RecordingError(f"{path}: expected finite times and poses; remove the other samples.")
     forces = np.empty((len(times), 0)) if wrenches is None else np.asarray(wrenches, dtype=float)

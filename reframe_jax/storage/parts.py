@@ -72,9 +72,8 @@ class _Parquet:
             import pyarrow
             import pyarrow.parquet
         except ImportError as error:
-            raise ImportError(
-                "Results are stored as Parquet, which needs pyarrow: pip install 'reframe-jax[parquet]'"
-            ) from error
+            remedy = "pip install 'reframe-jax[parquet]'"
+            raise ImportError(f"Results are stored as Parquet, which needs pyarrow: {remedy}") from error
         return pyarrow
 
 

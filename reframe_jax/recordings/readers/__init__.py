@@ -57,9 +57,8 @@ def choose_reader(path: Path, wanted: Selection) -> Reader:
         if reader.recognises(path, head):
             if other := [name for name in wanted.given if name not in reader.options]:
                 used = ", ".join(map(flag, sorted(reader.options))) or "none"
-                raise RecordingError(
-                    f"{path}: is {reader.name}, which does not use {flag(other[0])}; its options: {used}."
-                )
+                problem = f"is {reader.name}, which does not use {flag(other[0])}"
+                raise RecordingError(f"{path}: {problem}; its options: {used}.")
             return reader
     names = " or ".join(reader.name for reader in candidates)
     remedy = "" if b"\0" in head else "; if it is a table of numbers, give it the suffix .csv"

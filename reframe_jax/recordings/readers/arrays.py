@@ -49,7 +49,7 @@ def _rows(path: Path, arrays: dict[str, np.ndarray], others: list[str]) -> Rows:
         if timed:
             parts |= {"times": parts["poses"][:, :1], "poses": parts["poses"][:, 1:]}
         values = np.hstack([parts["positions"], parts["quaternions"]]) if pair else parts["poses"]
-        seconds, origin = _since_first(parts["times"][:, 0]) if "times" in parts else (None, None)
+        seconds, origin = since_first(parts["times"][:, 0]) if "times" in parts else (None, None)
         wrenches = parts["wrenches"].astype(float, copy=False) if "wrenches" in parts else None
         values = values.astype(float, copy=False)
     return Rows(
@@ -57,7 +57,7 @@ def _rows(path: Path, arrays: dict[str, np.ndarray], others: list[str]) -> Rows:
     )
 
 
-def _since_first(times: np.ndarray) -> tuple[np.ndarray, str | None]:
+def since_first(times: np.ndarray) -> tuple[np.ndarray, str | None]:
     """Convert times (N,) to floats; late times count from the first one, which is the second result.
 
     The subtraction is before the rounding, of Python's integers, which do not overflow.

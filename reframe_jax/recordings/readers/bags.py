@@ -220,12 +220,13 @@ def _read_chain(path: Path, bag: _Bag, ground: str, body: str) -> Rows:
     moving = [rows for edge, _, rows in chain if not edge.static]
     if not moving:
         raise RecordingError(f"{path}: all transforms between the two frames are static: nothing moves.")
-    own = min(moving, key=lambda rows: len(rows.values))
+    moved = [rows for rows in moving if np.ptp(rows.values, axis=0).any()]
+    own = min(moved or moving, key=lambda rows: len(rows.values))
     times = np.asarray(own.times)
     poses, known = np.tile(np.eye(4), (len(times), 1, 1)), np.ones(len(times), bool)
     for edge, along, rows in chain:
         here = make_poses(rows)
-        if edge.static:
+        if edge.static or (rows is not own and not np.ptp(rows.values, axis=0).any()):
             here = here[-1:]
         elif rows is not own and rows.times is not None:
             shifted = rows.times + origin_shift(path, rows.origin, own.origin)
@@ -272,9 +273,8 @@ def _find_chain(path: Path, edges: Iterable[_Edge], ground: str, body: str) -> l
                 found[other] = [*found[frame], (edge, along)]
                 waiting.append(other)
     if body not in found:
-        raise RecordingError(
-            f"{path}: no transforms connect {shown(ground, 60)} with {shown(body, 60)}; {frames}."
-        )
+        pair = f"{shown(ground, 60)} with {shown(body, 60)}"
+        raise RecordingError(f"{path}: no transforms connect {pair}; {frames}.")
     return found[body]
 
 
@@ -288,7 +288,8 @@ def _clean(path: Path, edge: _Edge, rows: Rows) -> None:
     if not edge.static and rows.times is not None and len(rows.times):
         new = np.append(True, np.diff(rows.times) > 0)
         rows.keep(new, f"the stamp of a {what} is repeated", "equal_time")
-        leave_out_lost(rows, make_poses(rows))
+        if np.mean((np.diff(rows.values, axis=0) != 0).any(axis=1)) > 0.5:  # not of rare corrections
+            leave_out_lost(rows, make_poses(rows))
     fewest = 1 if edge.static else 2
     if len(rows.values) < fewest:
         raise RecordingError(f"{path}: has {len(rows.values)} usable {what}; expected {fewest} or more.")

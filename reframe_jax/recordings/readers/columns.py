@@ -27,18 +27,16 @@ class Column(NamedTuple):
 def find_columns(path: Path, wanted: Selection, names: Sequence[str]) -> tuple[list[Column], list[Column]]:
     """Find the columns of positions and of orientations: ``NAME``, ``NAME[0:3]``, or several with commas."""
     if wanted.position is None or wanted.orientation is None:
-        raise RecordingError(
-            f"{path}: name its columns, {flag('position')} and {flag('orientation')}: {listed(names, 30)}."
-        )
+        both = f"{flag('position')} and {flag('orientation')}"
+        raise RecordingError(f"{path}: name its columns, {both}: {listed(names, 30)}.")
     found: tuple[list[Column], list[Column]] = ([], [])
     for columns, text in zip(found, (wanted.position, wanted.orientation), strict=True):
         for word in [text] if text in names else text.split(","):
             match = re.fullmatch(r"(.+?)\[(\d+):(\d+)\]", word.strip())
             name = match[1] if match else word.strip()
             if name not in names:
-                raise RecordingError(
-                    f"{path}: has no column {shown(name, 80)!r}; columns: {listed(names, 30)}."
-                )
+                present = listed(names, 30)
+                raise RecordingError(f"{path}: has no column {shown(name, 80)!r}; columns: {present}.")
             columns.append(Column(name, slice(int(match[2]), int(match[3])) if match else slice(None)))
     return found
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from reframe_jax.recordings.readers.arrays import since_first
 from reframe_jax.recordings.readers.columns import OPTIONS, Column, column_entries, find_columns, set_poses
 from reframe_jax.recordings.readers.reader import Entry, Reader, import_extra, translate_errors
 from reframe_jax.recordings.recording import RecordingError, Rows, check_size, listed, shown
@@ -33,14 +34,16 @@ def read_parquet(path: Path, wanted: Selection) -> Rows:
         every = [column for group in groups for column in group] + ([_EPISODE] if numbered else [])
         parts: list[list[np.ndarray]] = [[] for _ in groups]
         episodes: set[int] = set()
-        count = 0
+        where: list[np.ndarray] = []
+        count = place = 0
         for batch in file.iter_batches(_BATCH, columns=list(dict.fromkeys(each.name for each in every))):
             kept = np.ones(len(batch), bool)
             if numbered:
                 number = _numbers_of_batch(path, batch, _EPISODE)[:, 0]
                 episodes |= set(number.astype(int).tolist())
                 kept = kept if wanted.episode is None else number == wanted.episode
-            count += int(kept.sum())
+            where.append(np.flatnonzero(kept) + place)
+            count, place = count + len(where[-1]), place + len(batch)
             check_size(path, count)
             for group, part in zip(groups, parts, strict=True):
                 part.append(np.hstack([_numbers_of_batch(path, batch, column)[kept] for column in group]))
@@ -50,8 +53,8 @@ def read_parquet(path: Path, wanted: Selection) -> Rows:
     if not count:
         raise RecordingError(f"{path}: has no rows.")
     arrays = [np.concatenate(part) for part in parts]
-    times = arrays[2][:, 0] if timed else None
-    rows = Rows(path, "sample", np.arange(count), arrays[0], times, no_times=_NO_TIMES)
+    times, origin = since_first(arrays[2][:, 0]) if timed else (None, None)
+    rows = Rows(path, "sample", np.concatenate(where), arrays[0], times, origin, no_times=_NO_TIMES)
     set_poses(rows, arrays[0], arrays[1], wanted)
     return rows
 

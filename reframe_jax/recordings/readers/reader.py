@@ -46,9 +46,8 @@ def import_extra(path: Path, module: str, extra: str) -> ModuleType:
         return importlib.import_module(module)
     except ImportError as error:
         library = module.partition(".")[0]
-        raise RecordingError(
-            f"{path}: needs {library}, which is not installed: pip install 'reframe-jax[{extra}]'."
-        ) from error
+        remedy = f"pip install 'reframe-jax[{extra}]'"
+        raise RecordingError(f"{path}: needs {library}, which is not installed: {remedy}.") from error
 
 
 @contextmanager
@@ -63,9 +62,8 @@ def translate_errors(path: Path, expected: str) -> Iterator[None]:
         if isinstance(error, RecordingError) or (isinstance(error, OSError) and error.errno is not None):
             raise  # an error with its own message, or an error of the disk
         reason = shown(" ".join(str(error).split())) or type(error).__name__
-        raise RecordingError(
-            f"{path}: expected {expected}; it cannot be read: {reason.rstrip('.')}."
-        ) from error
+        problem = reason.rstrip(".")
+        raise RecordingError(f"{path}: expected {expected}; it cannot be read: {problem}.") from error
 
 
 def choose_name(path: Path, option: str, wanted: str | None, names: Sequence[str], what: str) -> str:

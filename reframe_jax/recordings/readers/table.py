@@ -110,7 +110,7 @@ def read_table(path: Path, wanted: Selection) -> Rows:
         position, orientation = _find_columns(header, wanted)
     time = _find_time(header, first)
     frame = header.find(_FRAMES) if time is None else None
-    if frame is not None and not "".join(first[frame : frame + 1]).isdecimal():
+    if frame is not None and not re.fullmatch(r"\d+(\.0*)?", "".join(first[frame : frame + 1])):
         frame = None  # a name
     lines = chain([(number, first)] if first else [], lines)
     counted = time if frame is None else frame
@@ -202,6 +202,8 @@ def _find_columns(header: _Header, wanted: Selection) -> tuple[list[int], list[i
     for size in (16, 12):
         if matrix := header.all([f"[mt]_?{i // 4}_?{i % 4}" for i in range(size)]):
             return [], matrix
+    if header.body is not None and (of_body := _with_prefix(header)):
+        return of_body
     position = header.axes(_POSITIONS, "xyz")
     if position is None and "fx" not in header.names:
         position = header.axes((r"(.*_)?t_?{axis}",), "xyz")
@@ -216,9 +218,9 @@ def _find_columns(header: _Header, wanted: Selection) -> tuple[list[int], list[i
         quaternion = quaternion or header.all([f"q(uat)?_?{first + i}" for i in range(4)])
         if quaternion is not None and wanted.quaternion is None:
             titles = ", ".join(header.titles[i] for i in quaternion)
-            raise RecordingError(
-                f"{header.path}: does not state the order of {titles}; give {flag('quaternion')}."
-            )
+            remedy = f"give {flag('quaternion')}"
+            raise RecordingError(f"{header.path}: does not state the order of {titles}; {remedy}.")
+        quaternion = None if quaternion is None else sorted(quaternion)  # in the order of the file
         rotation = rotation or header.all([f"r(ot)?_?{first + i // 3}_?{first + i % 3}" for i in range(9)])
     if quaternion is None and rotation is None:
         position, quaternion = _with_prefix(header) or (position, quaternion)
@@ -245,7 +247,7 @@ def _with_prefix(header: _Header) -> tuple[list[int], list[int]] | None:
     """Return columns such as tool_x and tool_qx, with the only prefix or the prefix of the body."""
     found = {re.sub("_q_?[xyzw]$", "", name) for name in header.names if re.fullmatch(r".+_q_?[xyzw]", name)}
     if header.body is not None:
-        found = {prefix for prefix in found if prefix.startswith(header.body)}
+        found = found & {header.body} or {prefix for prefix in found if prefix.startswith(header.body)}
     if len(found) > 1:
         raise RecordingError(
             f"{header.path}: has several poses in a row; select one, {flag('body')}: {listed(sorted(found))}."

@@ -43,7 +43,8 @@ def read_kitti(path: Path, wanted: Selection) -> Rows:
     """Read lines of 12 or 16 numbers, with an optional frame number or time first; see :class:`Reader`."""
     rows = _collect(path, _KITTI)
     rows.no_times = "KITTI trajectories contain none: give the sample time, dt (--dt), 0.1 s for KITTI itself"
-    if rows.times is not None and (rows.times % 1 == 0).all() and rows.origin is None:
+    whole = rows.times is not None and (rows.times % 1 == 0).all() and rows.origin is None
+    if whole and wanted.time_unit is None:
         rows.count_frames()
     return rows
 

@@ -56,9 +56,8 @@ def _read_header(path: Path) -> tuple[float, int, dict[str, _Body], Lines]:
             break
         found += [cells[0]] if title in _TITLES else []
     else:
-        raise RecordingError(
-            f"{path}: expected a section Objects or Segments; found only {listed(found, 8)}."
-        )
+        only = listed(found, 8)
+        raise RecordingError(f"{path}: expected a section Objects or Segments; found only {only}.")
     (number, rate), (_, names), (_, axes), (_, units) = (next(lines, (0, [""])) for _ in range(4))
     if not is_number(rate[0]) or not 0 < float(rate[0]) < np.inf or axes[:2] != ["Frame", "Sub Frame"]:
         raise RecordingError(
