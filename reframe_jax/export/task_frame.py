@@ -110,8 +110,8 @@ def to_task_frame(
     ``body`` and ``task`` are the names of {g}, {b} and the frame.
 
     Raises:
-        ValueError: for a batch; a window without a result; a pose of another shape; a stiffness that is
-            negative or not finite; distinct axes that are neither parallel nor perpendicular.
+        ValueError: for a batch; a window without a result; a screw or universal joint; a matrix that is no
+            pose; a stiffness that is negative or not finite; axes neither parallel nor perpendicular.
     """
     if isinstance(found, Identification):
         if np.shape(found.status_code) == () and found.status.failed:

@@ -68,8 +68,8 @@ def next_motion(
         The motions, in order of decreasing usefulness.
 
     Raises:
-        ValueError: for a batch, for a constraint without free axes, or if the poses differ from the poses of
-            ``found``.
+        ValueError: for a batch, a failed window, a constraint without free or with coupled axes (a screw, a
+            universal joint), a duration that is not positive, or poses that are not those of ``found``.
     """
     check_single(found)
     if found.status.failed or np.isfinite(found.pitch) or np.isfinite(found.universal_axes).all():
