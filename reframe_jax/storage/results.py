@@ -44,7 +44,7 @@ def identify_many(
 
     The part size limits the memory: about 200 MB in addition to the input for 8192 windows of 51 poses. The
     results equal those of :func:`identify` for any part size. The result of a single window differs by
-    rounding errors up to about 1e-7, because another compiled program computes it. A killed run loses only
+    rounding errors, which its fit can enlarge, because another compiled program computes it. A killed run loses only
     the current part; call the function again with the same arguments to resume. The result is the path of the
     folder.
 
