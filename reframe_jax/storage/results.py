@@ -43,8 +43,8 @@ def identify_many(
     """Identify any number of windows, write the results to a folder, and resume an interrupted run.
 
     The part size limits the memory: about 200 MB in addition to the input for 8192 windows of 51 poses. The
-    results equal those of :func:`identify` for any part size. The result of a single window differs by
-    rounding errors, which its fit can enlarge, because another compiled program computes it. A killed run loses only
+    results equal those of :func:`identify` for any part size. Another compiled program computes the result of
+    a single window: its rounding errors differ, and its fit can enlarge them. A killed run loses only
     the current part; call the function again with the same arguments to resume. The result is the path of the
     folder.
 
