@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.identification.classify import Thresholds
+from reframe_jax.identification.explanation import in_brackets
 from reframe_jax.tuning import EVIDENCE
 
 _FEW = 12  # largest number of velocities at which many windows are identified wrongly
@@ -67,7 +68,7 @@ def caution_sentences(
     The speeds are its ``rms``, and the probability is that of the name.
     """
     found = Caution(code)
-    stated = f"probability {'below 0.01' if probability < 0.01 else f'{probability:.2f}'}"
+    stated = in_brackets(probability)
     sentences = []
     if Caution.FEW_VELOCITIES in found:
         sentences.append(
@@ -83,9 +84,9 @@ def caution_sentences(
             "the tip and the residual of each touch. If rows are shuffled, sort them by time."
         )
     elif Caution.IMPROBABLE_ASSUMED in found:
-        sentences.append(f"Other constraints fit better than the assumed one ({stated}).")
+        sentences.append(f"Other constraints fit better than the assumed one{stated}.")
     elif Caution.IMPROBABLE in found:
-        uncertain = f"The name is uncertain ({stated})."
+        uncertain = f"The name is uncertain{stated}."
         remedy = " Record a larger motion along every free direction."
         sentences.append(uncertain + ("" if Caution.FEW_VELOCITIES in found else remedy))
     if Caution.NOISY_SCALE in found:

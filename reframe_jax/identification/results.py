@@ -150,7 +150,7 @@ class Identification:
         """
         inside = traced(self.entry_probability)
         xp: Any = jnp if inside else np
-        every, codes = xp.asarray(self.entry_probability), xp.asarray(self.entry_code)
+        every, codes = xp.asarray(self.entry_probability, float), xp.asarray(self.entry_code)
         same = xp.asarray(NAME_OF_ENTRY)[xp.maximum(codes, 0)][..., None] == NAME_OF_ENTRY
         failed = (xp.asarray(self.status_code) >= 10) | xp.isnan(every[..., 0]) | (codes < 0)
         found = xp.where(failed, np.nan, xp.where(same, every, 0).sum(axis=-1))

@@ -44,7 +44,8 @@ def _sorted(axes: Array, size: Array) -> Array:
     for i, j in ((0, 1), (1, 2), (0, 1)):
         swap = sizes[i] > sizes[j]
         for values in (columns, sizes):
-            values[i], values[j] = (jnp.where(swap, values[a], values[b]) for a, b in ((j, i), (i, j)))
+            one, two = values[i], values[j]
+            values[i], values[j] = jnp.where(swap, two, one), jnp.where(swap, one, two)
     turned = total(columns[0] * cross(columns[1], columns[2]), 0)
     return jnp.stack([columns[0] * jnp.where(turned < 0, -1, 1), columns[1], columns[2]], axis=1)
 
