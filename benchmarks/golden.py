@@ -11,6 +11,7 @@ Groups of recordings (:mod:`benchmarks.golden_cases` has the simulations):
 - ``repeatable``: the same with errors that depend on the pose only, as those of an arm with wrong lengths;
 - ``correlated``: the same with errors that are correlated over some samples, at 50 Hz;
 - ``planar``: a tracker of planar motion measures two coordinates and one angle;
+- ``stages``: axes of rotation on two or three translations;
 - ``frames``: the same, with the body's frame 1 m from where its errors act, or with inverse poses;
 - ``stops``: the same constraints, with white noise or slow errors, moved in three parts with rests between;
 - ``faults``: the same constraints, with white noise and poses that jump, repeat or are missing;

@@ -24,7 +24,8 @@ not as long as its model says: random quadratic functions of the displacement, w
 Correlated errors are white noise after a filter with a time constant of 60 ms, or vibrations of 7 to 11 Hz.
 In the group ``frames``, errors act about the origin of the body before its frame moves 1 m away, or before
 the poses are inverted, with the origin of the ground 1 m away from its place in other groups. In the group
-``planar``, a tracker of planar motion measures two coordinates and one angle; the others are zero.
+``planar``, a tracker of planar motion measures two coordinates and one angle; the others are zero. In the
+group ``stages``, one or two axes of rotation move along two or three translations, as on a gantry.
 """
 
 import zlib
@@ -74,6 +75,16 @@ CONSTRAINTS = {
     "unconstrained": Entry("Unconstrained", "111", "111", None, (None, None), ()),
 }
 TWELVE = tuple("ABCDEFGHIJKL")
+STAGES = {
+    entry.name: entry
+    for entry in (
+        Entry("1 rotation, 2 translations in GB", "010", "110", "GB", (1, 2), (0, 2)),
+        Entry("1 rotation, 2 translations in BG", "010", "110", "BG", (1, 2), (0, 2)),
+        Entry("1 rotation, 3 translations", "001", "111", None, (2, None), ()),
+        Entry("2 rotations, 3 translations", "110", "111", None, (None, None), ()),
+    )
+}
+_ALL = CONSTRAINTS | STAGES
 
 # The paper's velocities also obey a second constraint. Its name or class counts as right, without a score
 # of the geometry.
@@ -219,6 +230,12 @@ def planar_specs() -> Iterator[Spec]:
         yield Spec("planar", label, "measured", 20, white, slow, turn, seed)
 
 
+def stages_specs() -> Iterator[Spec]:
+    errors = [(sigma, 0.0, 0.0) for sigma in SIGMAS[:4]] + [(ENCODER[0], *slow) for slow in SLOW]
+    for seed, (white, slow, turn), label in product((95, 96), errors, STAGES):
+        yield Spec("stages", label, "measured", 20, white, slow, turn, seed)
+
+
 def paper_specs() -> Iterator[Spec]:
     for motion, sigma, label in product(("exciting", "paper"), SIGMAS[:4], TWELVE):
         yield Spec("paper", label, motion, 10, sigma)
@@ -235,6 +252,7 @@ PLANS = {
     "stops": stops_specs,
     "small": small_specs,
     "planar": planar_specs,
+    "stages": stages_specs,
     "faults": faults_specs,
     "nothing": nothing_specs,
     "paper": paper_specs,
@@ -264,7 +282,7 @@ def simulate(specs: Sequence[Spec]) -> list[Case]:
 
 def _simulate_chunk(specs: Sequence[Spec]) -> list[Case]:
     random = [np.random.default_rng(zlib.crc32(spec.recording.encode())) for spec in specs]
-    kinds = [CONSTRAINTS[spec.label].kind or "BB" for spec in specs]
+    kinds = [_ALL[spec.label].kind or "BB" for spec in specs]
     axes_on_body, origin_on_body = (
         np.array([kind[i] == "B" for kind in kinds])[:, None, None] for i in (0, 1)
     )
@@ -274,7 +292,7 @@ def _simulate_chunk(specs: Sequence[Spec]) -> list[Case]:
     origin_g = offset + np.einsum("nij,nj->ni", start, origin_b)
     sines = np.array([_draw_sines(spec, rng) for spec, rng in zip(specs, random, strict=True)])
     rotations = _integrate_rotation(sines, axes, start, axes_on_body)
-    for i in [i for i, spec in enumerate(specs) if spec.label == "universal"]:
+    for i in [i for i, spec in enumerate(specs) if _ALL[spec.label].angular == "110"]:
         first, second = (_STEP * np.cumsum(_velocity(sines[i], _TIMES)[k])[:, None] for k in (0, 1))
         outer, inner = (
             Rotation.from_rotvec(first * axes[i, :, 0]),
@@ -302,7 +320,7 @@ def _simulate_chunk(specs: Sequence[Spec]) -> list[Case]:
         taken = np.s_[i, : -1 : 100 // spec.rate]
         poses = _disturb(spec, rotations[taken], positions[taken], random[i])
         truth = truth_at_start(spec.label, in_ground[i], origin_g[i], rotations[i, 0], positions[i])
-        names: tuple[str, ...] = (CONSTRAINTS[spec.label].name,)
+        names: tuple[str, ...] = (_ALL[spec.label].name,)
         if spec.motion == "paper" and spec.label in AMBIGUOUS:
             names, truth = names + AMBIGUOUS[spec.label], no_truth()
         key, times = f"{spec.group}/{spec.recording}", np.arange(len(poses)) / spec.rate
@@ -336,7 +354,7 @@ def _draw_sines(spec: Spec, rng: np.random.Generator) -> np.ndarray:
         turn, shift = _PARTS.get(spec.motion, (1, 1))
         size = np.concatenate([np.full(3, turn * 0.5), shift * rng.uniform(0.05, 0.1, 3)])
         sines[0] *= (size / rms)[:, None]
-    entry = CONSTRAINTS[spec.label]
+    entry = _ALL[spec.label]
     if spec.label == "screw":
         pitch = rng.choice([-1, 1]) * rng.uniform(0.03, 0.1)  # m/rad
         sines[:, 3] = sines[:, 0] * np.array([[pitch], [1], [1], [1]])
@@ -505,7 +523,7 @@ def _repeatable_error(rotation: np.ndarray, position: np.ndarray, rng: np.random
 
 def _weakest_axis(spec: Spec, moved: np.ndarray) -> float:
     """Smallest RMS along a principal axis of the free motion, in units of the error; see the help."""
-    entry, moved = CONSTRAINTS[spec.label], moved - moved.mean(axis=0)
+    entry, moved = _ALL[spec.label], moved - moved.mean(axis=0)
     free = [i for i, dof in enumerate(entry.angular + entry.linear) if dof == "1"]
     turned, slid = moved[:, [i for i in free if i < 3]], moved[:, [i for i in free if i >= 3]]
     if turned.size and spec.label != "screw" and spec.motion != "paper":
@@ -533,7 +551,7 @@ def truth_at_start(
 
     ``rotation`` (3, 3) is the orientation of {b} at the start; ``positions`` (K, 3) m are the origins of {b}.
     """
-    entry, line = CONSTRAINTS[label], label in ("A", "C", "screw")
+    entry, line = _ALL[label], label in ("A", "C", "screw")
     both = np.array([axes, rotation.T @ axes])
     angular, linear = (np.full((2, 3), np.nan) if i is None else both[:, :, i] for i in entry.axes)
     if line:

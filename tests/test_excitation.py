@@ -67,6 +67,22 @@ def test_independent_motions_are_counted(moved):
         np.testing.assert_array_equal(tested.free, free)
 
 
+def test_a_screw_has_one_degree_of_freedom():
+    angle, rng = (
+        np.sin(0.15 * np.arange(POSES)) + 0.5 * np.sin(0.4 * np.arange(POSES)),
+        np.random.default_rng(0),
+    )
+    turn = Rotation.from_rotvec(np.outer(angle, [0, 0, 1]))
+    poses = np.tile(np.eye(4), (POSES, 1, 1))
+    poses[:, :3, :3] = turn.as_matrix()
+    poses[:, :3, 3] = turn.apply([0.2, 0, 0]) + np.outer(0.05 * angle, [0, 0, 1])
+    poses[:, :3, 3] += rng.normal(0, 1e-4, (POSES, 3))
+    found = rf.identify(poses, dt=DT)
+    assert found.name == "Screw joint"
+    tested = rf.excitation(found, poses, dt=DT)
+    assert (int(tested.free), int(tested.motions)) == (1, 1)
+
+
 def test_exciting_motions_determine_the_constraint(moved):
     for name in "CK":
         assert np.all(moved[name][2].determined)

@@ -355,6 +355,14 @@ def test_coordinates_that_a_planar_tracker_does_not_measure_show_no_errors():
     assert np.mean(confident) >= 0.85
 
 
+def test_rotations_along_two_or_three_translations_have_a_name():
+    """Gantries, arms that stay level, and machines with five axes."""
+    right, confident = right_and_confident(made.simulate([*made.stages_specs()]))
+    assert right[confident].all()
+    assert np.mean(right) >= 0.85
+    assert np.mean(confident) >= 0.75
+
+
 def test_other_frames_move_the_truth_with_the_poses():
     """Without noise, moved and inverse frames have no larger errors."""
     specs = [

@@ -138,7 +138,7 @@ def test_axes_of_coupled_joints_are_not_separate(found, made):
     poses = np.asarray(made[0][1])
     with pytest.raises(ValueError, match="No motions of separate axes for this result: Screw joint"):
         rf.next_motion(one, poses, times=DT * np.arange(len(poses)))
-    with pytest.raises(ValueError, match="screw joint couples its axes"):
+    with pytest.raises(ValueError, match="Screw joint couples its axes"):
         rf.to_task_frame(one, poses[-1])
 
 

@@ -117,7 +117,7 @@ def to_task_frame(
         if np.shape(found.status_code) == () and found.status.failed:
             raise ValueError(f"There is no task frame: {found.status.message}")
         if np.isfinite(found.pitch).any() or np.isfinite(found.universal_axes).any():
-            raise ValueError(f"A {found.name.lower()} couples its axes; no selection of axes expresses it.")
+            raise ValueError(f"{found.name} couples its axes; no selection of axes expresses it.")
         name, frame = found.name, found.constraint_frame
     else:
         key = found.linear_type, found.angular_dof, found.linear_dof

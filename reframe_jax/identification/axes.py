@@ -16,7 +16,6 @@ from reframe_jax.geometry.rotations import rotation_log
 from reframe_jax.geometry.small import diagonalize, times
 from reframe_jax.identification.optima import TURN_KINDS, Types, rms_velocities
 from reframe_jax.identification.winner import Winner
-from reframe_jax.model import features as z
 from reframe_jax.model.fit import coordinates_along
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.table import ENTRIES, LINEAR_KINDS, ROWS, TABLE, entries_at
@@ -24,8 +23,9 @@ from reframe_jax.model.table import ENTRIES, LINEAR_KINDS, ROWS, TABLE, entries_
 Array = jax.Array
 
 _DOF = np.array([entry.dof[0] for entry in ENTRIES])
-# all or no rotations are free in either body
+# all or no rotations are free in either body; the axis of a planar motion is the normal of its plane
 _IN_GROUND = TABLE.ground[:, 0] & ~TABLE.crossed & (_DOF % 3 > 0)
+_IN_GROUND |= TABLE.tied & TABLE.apart & TABLE.held[:, 5] & ~TABLE.pitch
 
 
 class Rows(NamedTuple):
@@ -73,8 +73,7 @@ def frames_of_entry(
     every: Rows = jax.vmap(partial(_principal_rows, whole=whole))(*stacked)
     linear, angular = Rows(*(leaf[0] for leaf in every)), Rows(*(leaf[1:] for leaf in every))
     # ---- the body in which the rotation is reported
-    in_plane = entry.tied & entry.apart & ~free[5] & _turns_less_in_ground(bodies[0], weights, whole)
-    in_ground = in_plane | jnp.asarray(_IN_GROUND)[jnp.maximum(winner.code, 0)]
+    in_ground = jnp.asarray(_IN_GROUND)[jnp.maximum(winner.code, 0)]
     of_turns = jnp.where(in_ground, int(AngularType.G), int(AngularType.B))
     angular_type = jnp.where(turns == 2, jnp.argmin(types.angular_norm), of_turns).astype(jnp.int32)
     speeds = partial(rms_velocities, used=used, step=step)
@@ -128,22 +127,6 @@ def _eigenvectors(covariance: Array, together: Array) -> Array:
     # the change is zero, but its derivative is not
     change = jnp.where(apart, (seen - jax.lax.stop_gradient(seen)) / jnp.where(apart, gap, 1), 0)
     return turn + times(turn, change)
-
-
-def _turns_less_in_ground(axes: Array, weights: Array, whole: Array) -> Array:
-    """Whether the positions determine the axis of a planar motion better than the rotations do, ().
-
-    The uncertainty of an axis is the ratio of a residual to the motion that determines the axis. For
-    rotations, this is the constrained rotation over the free rotation. For positions, it is the displacement
-    along the axis over the smaller amplitude in the plane.
-    """
-    square = jnp.einsum("if,fg,ig->i", weights, whole, weights)
-    held_turns, turn, along = square[0] + square[1], square[2], square[5]
-    plane = axes[:, :2].T @ whole[z.POSITION, z.POSITION] @ axes[:, :2]
-    half = jnp.trace(plane) / 2
-    det = plane[0, 0] * plane[1, 1] - plane[0, 1] * plane[1, 0]
-    weaker = half - jnp.sqrt(jnp.maximum(half * half - det, 0))
-    return along * turn < held_turns * weaker
 
 
 def fix_signs(axes: Array) -> Array:

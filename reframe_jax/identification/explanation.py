@@ -236,7 +236,7 @@ def _unclear_bodies(found: Any) -> str:
     """State whether the tied linear types disagree on the body of the axes or of the origin; else empty."""
     own, entry = found.linear.frame_type, found.entry
     kinds = [own, *(kind for kind in LinearType if found.linear.tied[kind] and kind != own)]
-    if len(kinds) == 1 or not found.linear.dof.any() or (entry is not None and entry.linear_type is None):
+    if len(kinds) == 1 or found.linear.dof.sum() in (0, 3) or (entry and entry.linear_type is None):
         return ""
     parts = ["the axes of translation"] if len({kind.orientation_body for kind in kinds}) > 1 else []
     parts += ["the point"] if len({kind.position_body for kind in kinds}) > 1 else []

@@ -83,7 +83,7 @@ def prepare_windows(
     # poses without order give no estimate of the noise except the rounding error
     size = jnp.stack([distance, jnp.full_like(distance, np.pi)], axis=1)
     noise = jnp.where(scales == 0, 4 * float(jnp.finfo(poses.dtype).eps) * size, noise)
-    features = pose_features(rotation, position, gaps.T, count)
+    features = pose_features(rotation, position, gaps.T, count, scales == 0)
     sections = None if single_steps else section.T
     moments = scale_moments(features.values, own.T, count, sections, scales == 0)
     box = jnp.maximum(REACH, REACH * distance)

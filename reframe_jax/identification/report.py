@@ -100,17 +100,18 @@ def _report_window(
         winner = winner_by_thresholds(types, searched, angular_dof, linear_dof)
     kind, fitted = winner.kind, winner.parameters
     bodies = jnp.stack([ground_axes(fitted, mean), fitted.axes])  # by AngularType
+    any_position = _any_position(winner, bodies, types, None if thresholds is None else linear_dof)
+    position = fitted.origin - any_position @ fitted.origin
+    winner = winner._replace(parameters=fitted._replace(origin=position))
     frames = frames_of_entry(winner, bodies, types, used, whole, step)
     if thresholds is None:
         angular_dof = _last_free(jnp.sum(frames.angular.dof[0]), 2)
         linear_dof = _last_free(jnp.sum(frames.linear.dof), 4)
-    any_position = _any_position(winner, bodies, types, None if thresholds is None else linear_dof)
     if thresholds is not None or single_steps:
         # as in the paper, the reported frame is the best frame of its type
         best = jnp.argmin(types.angular_norm).astype(jnp.int32)
         a = frames.angular_type if thresholds is None else best
         frames = frames_of_types(a, winner, types, (angular_dof, linear_dof), whole)
-    position = fitted.origin - any_position @ fitted.origin
     centre = jnp.where((np.array(POSITION_BODIES) == int(AngularType.G))[:, None], window.centre, 0)
     positions = searched.origins.at[kind].set(position) + centre
     candidates = _candidates(frames, types, kind, linear_dof, positions)

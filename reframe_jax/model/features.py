@@ -18,6 +18,7 @@ from reframe_jax.geometry.rotations import hat
 from reframe_jax.geometry.small import cross, normalize, pick, times, total, unit_matrix
 from reframe_jax.motion.paths import twist_paths
 
+Array = jax.Array
 COUNT = 27
 POSITION, ROTATION, IN_BODY = slice(0, 3), slice(3, 12), slice(12, 15)
 TURN_BODY, SHIFT_BODY, TURN_GROUND, SHIFT_GROUND = slice(15, 18), slice(18, 21), slice(21, 24), slice(24, 27)
@@ -36,39 +37,43 @@ class Features(NamedTuple):
         mean_rotation: (N, 3, 3) the rotation nearest to it.
     """
 
-    values: jax.Array
-    to_position: jax.Array
-    to_rotation: jax.Array
-    mean_matrix: jax.Array
-    mean_rotation: jax.Array
+    values: Array
+    to_position: Array
+    to_rotation: Array
+    mean_matrix: Array
+    mean_rotation: Array
 
 
-def pose_features(rotation: jax.Array, position: jax.Array, steps: jax.Array, count: jax.Array) -> Features:
+def pose_features(
+    rotation: Array, position: Array, steps: Array, count: Array, about_mean: Array | bool = False
+) -> Features:
     """Compute the features of the poses of N windows.
 
     Poses are rotations (3, 3, P, N) and positions (3, P, N), m, relative to the mean, of {b} in {g}. Time
-    steps are (1, K) or (N, K), s; ``count`` (N,) is the number of poses before the padding.
+    steps are (1, K) or (N, K), s; ``count`` (N,) is the number of poses before the padding. With
+    ``about_mean`` () bool, logarithms relative to the mean pose replace the integrals.
     """
-    turns, shifts = twist_paths(rotation, position, steps, count)
+    own = jnp.arange(position.shape[1])[:, None] < count
+    matrix = jnp.sum(jnp.where(own, rotation, 0), axis=2) / count.astype(position.dtype)
+    mean = nearest_rotation(matrix)
+    turns, shifts = twist_paths(rotation, position, steps, count, mean, about_mean)
     rows = [position, rotation.reshape(9, *position.shape[1:]), times(jnp.swapaxes(rotation, 0, 1), position)]
     rows += [turns[:, 0], shifts[:, 0], turns[:, 1], shifts[:, 1]]
     values = jnp.moveaxis(jnp.concatenate(rows), -1, 0)
-    own = jnp.arange(values.shape[2])[:, None] < count
-    matrix = jnp.sum(jnp.where(own, rotation, 0), axis=2) / count.astype(values.dtype)
-    means = (jnp.moveaxis(mean, -1, 0) for mean in (matrix, nearest_rotation(matrix)))
     chosen = ((count - 1)[:, None] * np.linspace(0, 1, _SENSITIVE)).astype(jnp.int32)
     here = jnp.swapaxes(pick(values, chosen[:, None], 2), 1, 2)
+    means = (jnp.moveaxis(each, -1, 0) for each in (matrix, mean))
     return Features(values, *_sensitivity(here), *means)
 
 
-def nearest_rotation(matrix: jax.Array) -> jax.Array:
+def nearest_rotation(matrix: Array) -> Array:
     """Return the rotation nearest to matrices (3, 3, ...), by Newton's iteration for the polar factor.
 
     The nearest rotation of a nearly singular matrix is not unique. The iteration is therefore damped, and
     Gram-Schmidt makes its result orthogonal.
     """
 
-    def step(_: int, x: jax.Array) -> jax.Array:
+    def step(_: int, x: Array) -> Array:
         cofactors = jnp.stack([cross(x[i - 2], x[i - 1]) for i in range(3)])
         det = total(x[0] * cofactors[0], 0)
         return (x + cofactors / jnp.where(jnp.abs(det) < 1e-9, 1e-9, det)) / 2
@@ -79,7 +84,7 @@ def nearest_rotation(matrix: jax.Array) -> jax.Array:
     return jnp.stack([u, v, cross(u, v)], axis=1)
 
 
-def _sensitivity(values: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _sensitivity(values: Array) -> tuple[Array, Array]:
     """Derivatives of features (..., 27) with respect to the pose, (..., 27, 3) each.
 
     The integral of a twist up to a pose is differentiated by this pose only.

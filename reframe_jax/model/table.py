@@ -127,7 +127,8 @@ def turning(kind: LinearType) -> Block:
 
 def _entries() -> tuple[Entry, ...]:
     bb, gb, gg, bg = LinearType.BB, LinearType.GB, LinearType.GG, LinearType.BG
-    still = held("turn in ground", 0, 1, 2)
+    still, level = held("turn in ground", 0, 1, 2), (held("turn in ground", 0, 1), free("turn in ground", 2))
+    cross = held("angle between", 2), free("turn in ground", 2), free("turn in body", 0)
     slots = {bb: "E", gg: "F", gb: "I", bg: "J"}
     surfaces = {bb: "G", gb: "K", bg: "L", gg: "3 rotations, 2 translations"}
     found = []
@@ -151,17 +152,22 @@ def _entries() -> tuple[Entry, ...]:
             Entry(curve, t, (turning(t), held(t.name, 0, 1), free(t.name, 2)), "along", (), 4),
             Entry("unconstrained", t, (turning(t), free(t.name, 0, 1, 2)), "turn", (0, 1, 2), 0),
         ]
-    lift, anywhere = (still, free("position", 0, 1), held("position", 2)), (0, 1, 2)
+    anywhere, moving = (0, 1, 2), free("position", 0, 1, 2)
+    lift = still, free("position", 0, 1), held("position", 2)
     found += [
         Entry("B", gb, (still, held("position", 0, 1), free("position", 2)), "path", anywhere, 2),
         Entry("0 rotations, 2 translations", gb, lift, "lift", anywhere, 2),
-        Entry("0 rotations, 3 translations", gb, (still, free("position", 0, 1, 2)), "path", anywhere, 0),
+        Entry("0 rotations, 3 translations", gb, (still, moving), "path", anywhere, 0),
+        Entry("1 rotation, 3 translations", gb, (*level, moving), "turn", anywhere, 2),
+        Entry("2 rotations, 3 translations", gb, (*cross, moving), "cross", anywhere, 3),
         Entry("fixed", gb, (still, held("position", 0, 1, 2)), "path", anywhere, 0),
     ]
     for t in (gb, bg):
         point = held(t.name, 0, 1, 2)
-        cross = held("angle between", 2), free("turn in ground", 2), free("turn in body", 0)
+        turns = held(_turn(t), 0, 1), free(_turn(t), 2)
+        stage = *turns, held(t.name, 0), free(t.name, 1), free("position", 2)
         found += [
+            Entry("1 rotation, 2 translations", t, stage, "turn", (2,), 4),
             Entry("spherical", t, (turning(t), point), "turn", (), 3),
             Entry("universal", t, (*cross, point), "cross", (), 6),
         ]

@@ -70,7 +70,8 @@ def velocity_components(
     steps = steps.reshape(-1, number)
     count = jnp.full(1, number + 1, jnp.int32)
     flat = rotation.reshape(3, 3, number + 1, -1), position.reshape(3, number + 1, -1)
-    twists = step_twists(*flat) / steps.T if discretization == "left" else mean_twists(*flat, steps, count)
+    logarithms = step_twists((flat[0][:, :, :-1], flat[1][:, :-1]), (flat[0][:, :, 1:], flat[1][:, 1:]))
+    twists = logarithms / steps.T if discretization == "left" else mean_twists(logarithms, steps, count)
     body, spatial = jnp.moveaxis(twists, (2, 1), (0, 1)).reshape(2, 6, number, *windows)
     bb, gg = (_twist_map(twist) for twist in (body, spatial))
     if discretization == "left":

@@ -53,19 +53,18 @@ def twist_between(first: tuple[Array, Array], second: tuple[Array, Array]) -> tu
     return w, shift - across / 2 + factor * cross(w, across)
 
 
-def step_twists(rotation: Array, position: Array) -> Array:
-    """Logarithms (3, 2, 2, K, N) of the steps between rotations (3, 3, K+1, N) and positions (3, K+1, N), m.
+def step_twists(first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:
+    """Logarithms (3, 2, 2, K, N) of the steps between poses: rotations (3, 3, K, N), positions (3, K, N) m.
 
     The logarithms are twists times the sample time: rotations (rad) and translations (m), in {b} and in {g}.
     """
-    here = rotation[:, :, :-1]
-    w, v = materialize(twist_between((here, position[:, :-1]), (rotation[:, :, 1:], position[:, 1:])))
-    turned = materialize(times(here, w))
-    moved = times(here, v) + cross(position[:, :-1], turned)
+    w, v = materialize(twist_between(first, second))
+    turned = materialize(times(first[0], w))
+    moved = times(first[0], v) + cross(first[1], turned)
     return jnp.stack([jnp.stack([w, turned], axis=1), jnp.stack([v, moved], axis=1)], axis=1)
 
 
-def mean_twists(rotation: Array, position: Array, steps: Array, count: Array) -> Array:
+def mean_twists(logarithms: Array, steps: Array, count: Array) -> Array:
     """Mean twist over every step, without the brackets of the Magnus expansion.
 
     Brackets mix components: with them, constrained axes have an error that more data does not reduce (0.1
@@ -73,8 +72,7 @@ def mean_twists(rotation: Array, position: Array, steps: Array, count: Array) ->
     high derivatives would amplify the noise, only brackets with the first derivative are taken out.
 
     Args:
-        rotation: (3, 3, K+1, N).
-        position: (3, K+1, N) m.
+        logarithms: (3, 2, 2, K, N) of the steps; see :func:`step_twists`.
         steps: (1, K) or (N, K) s, sample times.
         count: (1,) or (N,) number of poses; the others are padding.
 
@@ -82,22 +80,28 @@ def mean_twists(rotation: Array, position: Array, steps: Array, count: Array) ->
         (3, 2, 2, K, N): angular (rad/s) and linear (m/s) velocities, in {b} and in {g}.
     """
     h = steps.T
-    twist = step_twists(rotation, position) / h
+    twist = logarithms / h
     even = _are_even(steps)
     return twist - _brackets(twist, _derivative_weights(steps, even, count - 1), h, even)
 
 
-def twist_paths(rotation: Array, position: Array, steps: Array, count: Array) -> tuple[Array, Array]:
-    """Integrate the twist from the first pose to every pose; arguments as in :func:`mean_twists`.
+def twist_paths(
+    rotation: Array, position: Array, steps: Array, count: Array, mean: Array, about_mean: Array | bool
+) -> tuple[Array, Array]:
+    """Integrate the twist from the first pose to every pose; poses as in :func:`.pose_features`.
 
-    Returns:
-        Rotations (3, 2, K+1, N) rad and translations (3, 2, K+1, N) m, in {b} and {g}.
+    The result is rotations (3, 2, P, N), rad, and translations (3, 2, P, N), m, in {b} and {g}. With
+    ``about_mean`` () bool, it is the logarithm of every pose relative to a pose with the mean rotation
+    ``mean`` (3, 3, N) and the position 0, which needs no order of the poses.
     """
-    path, reach = mean_twists(rotation, position, steps, count) * steps.T, 1
+    turned, moved = (jnp.concatenate([x[..., :1, :], x[..., :-1, :]], axis=-2) for x in (rotation, position))
+    former = jnp.where(about_mean, mean[:, :, None], turned), jnp.where(about_mean, 0, moved)
+    logarithms = step_twists(former, (rotation, position))
+    path, reach = mean_twists(logarithms[:, :, :, 1:], steps, count) * steps.T, 1
     while reach < path.shape[3]:  # running sums, by doubling
         later = path[:, :, :, reach:] + path[:, :, :, :-reach]
         path, reach = jax.lax.dynamic_update_slice_in_dim(path, later, reach, 3), 2 * reach
-    path = jnp.pad(path, ((0, 0), (0, 0), (0, 0), (1, 0), (0, 0)))
+    path = jnp.where(about_mean, logarithms, jnp.pad(path, ((0, 0), (0, 0), (0, 0), (1, 0), (0, 0))))
     return path[:, 0], path[:, 1]
 
 

@@ -118,7 +118,7 @@ def _window_excitations(window: Prepared, windows: Windows, _: jax.Array) -> Exc
     free = ~jnp.asarray(entry.held) | (entry.pitch[:, None] & (jnp.arange(6) == 5))
     motions, steady = jax.vmap(_independent_motions)(gram, mean, noise, free)
     failed = (window.status >= 10) | (found.entry_code < 0)
-    number = jnp.sum(found.angular.dof, axis=1) + jnp.sum(found.linear.dof, axis=1)
+    number = jnp.sum(found.angular.dof, axis=1) + jnp.sum(found.linear.dof, axis=1) - entry.pitch
     return Excitation(
         free=jnp.where(failed, 0, number),
         motions=jnp.where(failed, 0, motions),
