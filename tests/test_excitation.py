@@ -68,10 +68,8 @@ def test_independent_motions_are_counted(moved):
 
 
 def test_a_screw_has_one_degree_of_freedom():
-    angle, rng = (
-        np.sin(0.15 * np.arange(POSES)) + 0.5 * np.sin(0.4 * np.arange(POSES)),
-        np.random.default_rng(0),
-    )
+    rng, row = np.random.default_rng(0), np.arange(POSES)
+    angle = np.sin(0.15 * row) + 0.5 * np.sin(0.4 * row)
     turn = Rotation.from_rotvec(np.outer(angle, [0, 0, 1]))
     poses = np.tile(np.eye(4), (POSES, 1, 1))
     poses[:, :3, :3] = turn.as_matrix()

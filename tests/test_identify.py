@@ -193,6 +193,9 @@ def test_names_and_amplitudes_are_those_of_the_recording_at_any_scale_of_the_sea
     # over the free axes, whose directions in a plane are arbitrary
     sizes = [np.linalg.norm(of.linear.amplitude * of.linear.dof, axis=1) for of in (found, default)]
     np.testing.assert_allclose(*sizes, rtol=0.01)
+    others = [row for row, label in enumerate(rf.CONSTRAINTS) if label != "D"]
+    third = [of.linear.amplitude[others, 2] for of in (found, default)]
+    np.testing.assert_allclose(*third, rtol=0.1)
     noise = PoseErrors(sigma=0.02)
     noisy = jax.vmap(disturb, in_axes=(0, None, None, None))(mixed, jax.random.key(0), noise, 0.1)
     found = rf.identify(noisy, dt=0.1, scales=1, bounds=1.0)

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from reframe_jax.constraints.types import ORIENTATION_BODIES, AngularType
 from reframe_jax.geometry.rotations import rotation_log
@@ -22,9 +21,8 @@ from reframe_jax.model.table import ENTRIES, LINEAR_KINDS, ROWS, TABLE, entries_
 
 Array = jax.Array
 
-_DOF = np.array([entry.dof[0] for entry in ENTRIES])
 # all or no rotations are free in either body; the axis of a planar motion is the normal of its plane
-_IN_GROUND = TABLE.ground[:, 0] & ~TABLE.crossed & (_DOF % 3 > 0)
+_IN_GROUND = TABLE.ground[:, 0] & ~TABLE.crossed & [0 < entry.dof[0] < 3 for entry in ENTRIES]
 _IN_GROUND |= TABLE.tied & TABLE.apart & TABLE.held[:, 5] & ~TABLE.pitch
 
 

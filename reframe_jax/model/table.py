@@ -125,24 +125,29 @@ def turning(kind: LinearType) -> Block:
     return free(_turn(kind), 0, 1, 2)
 
 
+def _about_axis(kind: LinearType) -> tuple[Block, Block]:
+    """Return the blocks of rotations of which only that about the axis of the frame is free."""
+    return held(_turn(kind), 0, 1), free(_turn(kind), 2)
+
+
 def _entries() -> tuple[Entry, ...]:
     bb, gb, gg, bg = LinearType.BB, LinearType.GB, LinearType.GG, LinearType.BG
-    still, level = held("turn in ground", 0, 1, 2), (held("turn in ground", 0, 1), free("turn in ground", 2))
+    still, anywhere, moving = held("turn in ground", 0, 1, 2), (0, 1, 2), free("position", 0, 1, 2)
     cross = held("angle between", 2), free("turn in ground", 2), free("turn in body", 0)
     slots = {bb: "E", gg: "F", gb: "I", bg: "J"}
     surfaces = {bb: "G", gb: "K", bg: "L", gg: "3 rotations, 2 translations"}
     found = []
     for t in (bg, gb):
-        turns, tip = (held(_turn(t), 0, 1), free(_turn(t), 2)), held(t.name, 0, 1)
+        turns, tip = _about_axis(t), held(t.name, 0, 1)
         found += [
             Entry("A", t, (*turns, tip, held("position", 2)), "turn", (2,), 4),
             Entry("C", t, (*turns, tip, free("position", 2)), "turn", (2,), 4),
             Entry("screw", t, (*turns, tip, held("position", 2)), "turn", (2,), 5, pitch=True),
         ]
-    plane = held("turn in body", 0, 1), free("turn in body", 2), free("BG", 0, 1), held("position", 2)
-    found.append(Entry("D", bg, plane, "turn", (0, 1, 2), 2))
+    plane = *_about_axis(bg), free("BG", 0, 1), held("position", 2)
+    found.append(Entry("D", bg, plane, "turn", anywhere, 2))
     for t in (bb, gb, gg, bg):
-        slot = held(_turn(t), 0, 1), free(_turn(t), 2), held(t.name, 0), free(t.name, 1), held("position", 2)
+        slot = *_about_axis(t), held(t.name, 0), free(t.name, 1), held("position", 2)
         surface = turning(t), free(t.name, 0, 1), held(t.name, 2)
         curve = "H" if t == gg else "3 rotations, 1 translation"
         any_origin = (0, 2) if t in (bb, gg) else (2,)
@@ -150,22 +155,20 @@ def _entries() -> tuple[Entry, ...]:
             Entry(slots[t], t, slot, "turn", any_origin, 4),
             Entry(surfaces[t], t, surface, "normal", (2,) if t == bb else (), 3),
             Entry(curve, t, (turning(t), held(t.name, 0, 1), free(t.name, 2)), "along", (), 4),
-            Entry("unconstrained", t, (turning(t), free(t.name, 0, 1, 2)), "turn", (0, 1, 2), 0),
+            Entry("unconstrained", t, (turning(t), free(t.name, 0, 1, 2)), "turn", anywhere, 0),
         ]
-    anywhere, moving = (0, 1, 2), free("position", 0, 1, 2)
     lift = still, free("position", 0, 1), held("position", 2)
     found += [
         Entry("B", gb, (still, held("position", 0, 1), free("position", 2)), "path", anywhere, 2),
         Entry("0 rotations, 2 translations", gb, lift, "lift", anywhere, 2),
         Entry("0 rotations, 3 translations", gb, (still, moving), "path", anywhere, 0),
-        Entry("1 rotation, 3 translations", gb, (*level, moving), "turn", anywhere, 2),
+        Entry("1 rotation, 3 translations", gb, (*_about_axis(gb), moving), "turn", anywhere, 2),
         Entry("2 rotations, 3 translations", gb, (*cross, moving), "cross", anywhere, 3),
         Entry("fixed", gb, (still, held("position", 0, 1, 2)), "path", anywhere, 0),
     ]
     for t in (gb, bg):
         point = held(t.name, 0, 1, 2)
-        turns = held(_turn(t), 0, 1), free(_turn(t), 2)
-        stage = *turns, held(t.name, 0), free(t.name, 1), free("position", 2)
+        stage = *_about_axis(t), held(t.name, 0), free(t.name, 1), free("position", 2)
         found += [
             Entry("1 rotation, 2 translations", t, stage, "turn", (2,), 4),
             Entry("spherical", t, (turning(t), point), "turn", (), 3),

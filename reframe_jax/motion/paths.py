@@ -79,9 +79,8 @@ def mean_twists(logarithms: Array, steps: Array, count: Array) -> Array:
     Returns:
         (3, 2, 2, K, N): angular (rad/s) and linear (m/s) velocities, in {b} and in {g}.
     """
-    h = steps.T
+    h, even = steps.T, _are_even(steps)
     twist = logarithms / h
-    even = _are_even(steps)
     return twist - _brackets(twist, _derivative_weights(steps, even, count - 1), h, even)
 
 
