@@ -40,10 +40,11 @@ from reframe_jax.constraints.catalogue import lookup
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
 from reframe_jax.geometry.rotations import rotation_exp
+from reframe_jax.identification.certainty import Covariance
 from reframe_jax.simulation.metrics import dof_correct, types_correct
 from reframe_jax.simulation.motions import PoseErrors, disturb
 from reframe_jax.simulation.synthetic import Excitation, Simulation
-from reframe_jax.uncertainty.covariance import Covariance, Errors, Method
+from reframe_jax.uncertainty.covariance import Errors, Method
 
 __all__ = ["standard_scores"]
 

@@ -20,6 +20,8 @@ from reframe_jax.export.table import to_table as to_table
 from reframe_jax.export.task_frame import TaskFrame as TaskFrame
 from reframe_jax.export.task_frame import to_task_frame as to_task_frame
 from reframe_jax.export.urdf import to_urdf as to_urdf
+from reframe_jax.identification.certainty import Covariance as Covariance
+from reframe_jax.identification.certainty import Excitation as Excitation
 from reframe_jax.identification.classify import Thresholds as Thresholds
 from reframe_jax.identification.entry import identify as identify
 from reframe_jax.identification.frames import AngularFrame as AngularFrame
@@ -50,9 +52,7 @@ from reframe_jax.solvers import OptaxSteps as OptaxSteps
 from reframe_jax.solvers import ValleySteps as ValleySteps
 from reframe_jax.storage.results import identify_many as identify_many
 from reframe_jax.storage.results import load_results as load_results
-from reframe_jax.uncertainty.covariance import Covariance as Covariance
 from reframe_jax.uncertainty.covariance import covariance as covariance
 from reframe_jax.uncertainty.design import MotionAdvice as MotionAdvice
 from reframe_jax.uncertainty.design import next_motion as next_motion
-from reframe_jax.uncertainty.excitation import Excitation as Excitation
 from reframe_jax.uncertainty.excitation import excitation as excitation

@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial, wraps
+from types import EllipsisType
 from typing import Any, TypeVar
 
 import jax
@@ -13,6 +14,10 @@ import numpy as np
 from reframe_jax.program_cache import can_keep, load_or_export
 
 _T = TypeVar("_T")
+_Item = int | slice | EllipsisType | None | np.ndarray | jax.Array
+Index = _Item | tuple[_Item, ...] | list[int]
+"""An index of an array."""
+
 OLD_EMITTERS = jax.__version_info__ < (0, 11)
 _FASTER: dict[str, int | bool] = {"xla_backend_optimization_level": 2, "xla_gpu_enable_triton_gemm": False}
 _FASTER |= {"xla_gpu_experimental_enable_fusion_autotuner": False}
@@ -130,7 +135,7 @@ def inside_trace(tree: Any) -> bool:
     return traced((tree, jnp.asarray(0.0)))
 
 
-def index_leaves(tree: _T, index: Any) -> _T:
+def index_leaves(tree: _T, index: Index) -> _T:
     """Apply an index to the first axes of every array of a pytree.
 
     NumPy indexes JAX arrays on a CPU, because JAX would compile a program for every shape and dtype. On a

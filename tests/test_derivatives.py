@@ -44,9 +44,11 @@ def shaken(poses: jax.Array, change: jax.Array) -> jax.Array:
 
 
 def results(poses: jax.Array) -> jax.Array:
-    """Origin, angular axis 3 and linear axis 1 of every window, (N, 3, 3)."""
+    """Origin, angular axis 3, linear axis 1, and two norms and an amplitude of every window, (N, 4, 3)."""
     found = rf.identify(poses, dt=DT)
-    return jnp.stack([found.linear.position, found.angular.axes[..., 2], found.linear.axes[..., 0]], axis=1)
+    axes = found.angular.axes[..., 2], found.linear.axes[..., 0]
+    sizes = found.angular.norm, found.linear.norm, found.linear.amplitude[..., 2]
+    return jnp.stack([found.linear.position, *axes, jnp.stack(sizes, axis=-1)], axis=1)
 
 
 def tangent_of(poses: jax.Array, direction: jax.Array) -> jax.Array:
@@ -65,7 +67,7 @@ def both_modes(poses: jax.Array, tangent: jax.Array) -> tuple[jax.Array, jax.Arr
 
 @pytest.fixture(scope="module")
 def derivatives(poses: jax.Array, direction: jax.Array) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of the results in the direction, (3, 3, 3), and the gradient, (3, 51, 4, 4)."""
+    """Derivatives of the results in the direction, (3, 4, 3), and the gradient, (3, 51, 4, 4)."""
     value, slopes, gradient = both_modes(poses, tangent_of(poses, direction))
     assert np.all(np.isfinite(value[:FAILED]))
     return np.asarray(slopes), np.asarray(gradient)
@@ -79,6 +81,7 @@ def test_results_follow_the_poses(
     expected = np.asarray(both[0] - both[1]) / (2 * STEP)
     for kind, unique in ((HINGE, [0, 1]), (PIN, [0, 2])):
         largest = float(np.max(np.abs(expected[kind, unique])))
+        np.testing.assert_allclose(slopes[kind, 3], expected[kind, 3], rtol=0.02)
         # a fit that has not converged to the last digit makes differences inexact
         np.testing.assert_allclose(
             slopes[kind, unique], expected[kind, unique], rtol=0.02, atol=0.05 * largest

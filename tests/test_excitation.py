@@ -17,10 +17,12 @@ def pin(turns: np.ndarray, slides: np.ndarray, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     ground, body = Rotation.random(2, random_state=rng)
     rotation = ground * Rotation.from_rotvec(turns.T) * body
-    poses = np.tile(np.eye(4), (POSES, 1, 1))
+    poses = np.tile(np.eye(4), (slides.shape[1], 1, 1))
     poses[:, :3, 3] = ground.apply(slides.T) - rotation.apply(rng.uniform(0.1, 0.2, 3))
-    poses[:, :3, 3] += rng.normal(0, 1e-4, (POSES, 3))
-    poses[:, :3, :3] = (rotation * Rotation.from_rotvec(rng.normal(0, 3e-4, (POSES, 3)))).as_matrix()
+    poses[:, :3, 3] += rng.normal(0, 1e-4, (slides.shape[1], 3))
+    poses[:, :3, :3] = (
+        rotation * Rotation.from_rotvec(rng.normal(0, 3e-4, (slides.shape[1], 3)))
+    ).as_matrix()
     return poses
 
 
@@ -101,6 +103,21 @@ def test_steady_velocities_are_seen():
     assert tested.steady
     assert not tested.determined
     assert "Not determined: one velocity was constant" in found.explain(excitation=tested)
+
+
+@pytest.mark.parametrize("times", ["jitter", "missing", "two rates"])
+def test_irregular_times_change_no_velocity(times):
+    """The body of a hinge turns steadily; velocities and amplitudes are those of the angle."""
+    rng = np.random.default_rng(7)
+    steps = {"jitter": rng.uniform(0.4, 1.6, 120), "missing": rng.geometric(0.6, 120)}
+    steps["two rates"] = np.repeat([1, 3], 60)
+    clock = 0.05 * np.cumsum(steps[times])
+    poses = pin(np.stack([0 * clock, 0 * clock, 0.2 * clock]), np.zeros((3, 120)), 1)
+    found = rf.identify(poses, times=clock)
+    assert found.name == "Revolute joint"
+    np.testing.assert_allclose(found.angular.rms[2], 0.2, rtol=2e-3)
+    np.testing.assert_allclose(found.angular.amplitude[2], 0.2 * np.std(clock), rtol=2e-3)
+    assert rf.excitation(found, poses, times=clock).steady
 
 
 def test_an_explanation_has_error_bars_and_advice(moved):

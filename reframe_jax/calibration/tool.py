@@ -81,10 +81,11 @@ class Calibration:
 
     @property
     def axis_interval(self) -> float | None:
-        """Largest half width of the 95 % interval of the direction of ``axis``, rad; None for a pivot."""
+        """Radius of the cone that contains ``axis`` with a probability of 95 %, rad; None for a pivot."""
         if self.axis_covariance is None:
             return None
-        return float(self._interval(np.linalg.eigvalsh(self.axis_covariance)[-1]))
+        factor = self.freedom * (0.05 ** (-2 / self.freedom) - 1)  # of F's distribution with 2 coordinates
+        return float(np.sqrt(factor * max(np.linalg.eigvalsh(self.axis_covariance)[-1], 0)))
 
     def _interval(self, variances: Any) -> Any:
         return student_factor(self.freedom) * np.sqrt(np.maximum(variances, 0))

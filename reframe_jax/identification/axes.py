@@ -30,9 +30,29 @@ class Rows(NamedTuple):
     """Three rotations, or three translations, along the axes of a frame."""
 
     axes: Array  # (3, 3), columns are the axes
-    weights: Array  # (3, 27) weights of the features in each coordinate
+    rms: Array  # (3,) velocities along the axes, m/s or rad/s
     square: Array  # (3,) mean square of each coordinate over the recording, m^2 or rad^2
     dof: Array  # (3,) int, 1 for free axes
+
+
+class Recorded(NamedTuple):
+    """The features of one window, and their moments."""
+
+    values: Array  # (27, P) relative to their mean, 0 for padding
+    number: Array  # () number of poses
+    used: Moments  # with the weights of the scales in the search
+    signal: Array  # (27, 27) moments, summed over the used scales
+    every: Array  # (27, 27) moments, summed over all scales
+
+    def covariance(self, weights: Array) -> Array:
+        """Covariance (3, 3) over the recording of coordinates with the weights (3, 27)."""
+        coordinates = jnp.matmul(weights, self.values, precision="highest")
+        return jnp.matmul(coordinates, coordinates.T, precision="highest") / self.number
+
+    def signal_part(self, weights: Array) -> Array:
+        """Part (3,) of the mean squares of coordinates that is at the used scales, and not white noise."""
+        signal, every = (jnp.einsum("if,fg,ig->i", weights, x, weights) for x in (self.signal, self.every))
+        return signal / every
 
 
 class Frames(NamedTuple):
@@ -40,19 +60,11 @@ class Frames(NamedTuple):
 
     angular_type: Array  # () ``AngularType``
     angular: Rows  # of both types, with an axis (2,) in front
-    angular_rms: Array  # (2, 3) rad/s
     linear: Rows
-    linear_rms: Array  # (3,) m/s
 
 
-def frames_of_entry(
-    winner: Winner, bodies: Array, types: Types, used: Moments, whole: Array, step: Array
-) -> Frames:
-    """Return the frames of the reported entry of one window, whose axes in both bodies are (2, 3, 3).
-
-    RMS velocities are those of the moments ``used`` of the used scales, for steps () of this duration, s.
-    Amplitudes are those of the moments ``whole`` (27, 27) over the recording.
-    """
+def frames_of_entry(winner: Winner, bodies: Array, types: Types, recorded: Recorded) -> Frames:
+    """Return the frames of the reported entry of one window, whose axes in both bodies are (2, 3, 3)."""
     entry = entries_at(jnp.maximum(winner.code, 0))
     parameters = winner.parameters._replace(pitch=jnp.zeros_like(winner.parameters.pitch))
     weights = coordinates_along(bodies[0], parameters, entry)
@@ -68,51 +80,52 @@ def frames_of_entry(
         rows = axes.T @ jnp.asarray(ROWS[TURN_KINDS[body], :, 0], axes.dtype)
         of_angular.append((axes, rows, turns_free[:, None] == turns_free[None, :], turns_free))
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), of_linear, *of_angular)
-    every: Rows = jax.vmap(partial(_principal_rows, whole=whole))(*stacked)
+    every: Rows = jax.vmap(partial(_principal_rows, recorded=recorded))(*stacked)
     linear, angular = Rows(*(leaf[0] for leaf in every)), Rows(*(leaf[1:] for leaf in every))
     # ---- the body in which the rotation is reported
     in_ground = jnp.asarray(_IN_GROUND)[jnp.maximum(winner.code, 0)]
     of_turns = jnp.where(in_ground, int(AngularType.G), int(AngularType.B))
     angular_type = jnp.where(turns == 2, jnp.argmin(types.angular_norm), of_turns).astype(jnp.int32)
-    speeds = partial(rms_velocities, used=used, step=step)
-    return Frames(angular_type, angular, jax.vmap(speeds)(angular.weights), linear, speeds(linear.weights))
+    return Frames(angular_type, angular, linear)
 
 
 def frames_of_types(
-    angular_type: Array, winner: Winner, types: Types, dof: tuple[Array, Array], whole: Array
+    angular_type: Array, winner: Winner, types: Types, dof: tuple[Array, Array], recorded: Recorded
 ) -> Frames:
     """Return the best frames of the reported types of one window.
 
     ``dof`` are the degrees of freedom of all angular types (2, 3) and linear types (4, 3); for the other
     arguments, see :func:`frames_of_entry`.
     """
-    kind, rows = winner.kind, jnp.asarray(ROWS, whole.dtype)
-    along = partial(_rows_along, whole=whole)
-    angular = jax.vmap(along)(types.angular_axes, rows[TURN_KINDS, :, 0], dof[0])
-    point = jnp.concatenate([jnp.ones(1, whole.dtype), winner.parameters.origin])
+    kind, rows = winner.kind, jnp.asarray(ROWS, recorded.values.dtype)
+    along = partial(_rows_along, recorded=recorded)
+    angular = jax.vmap(along)(types.angular_axes, rows[TURN_KINDS, :, 0], dof[0], types.angular_rms)
+    point = jnp.concatenate([jnp.ones(1, rows.dtype), winner.parameters.origin])
     of_point = jnp.einsum("iaf,a->if", rows[LINEAR_KINDS][kind], point)
-    linear = along(types.linear_axes[kind], of_point, dof[1][kind])
-    return Frames(angular_type, angular, types.angular_rms, linear, types.linear_rms[kind])
+    linear = along(types.linear_axes[kind], of_point, dof[1][kind], types.linear_rms[kind])
+    return Frames(angular_type, angular, linear)
 
 
-def _principal_rows(axes: Array, weights: Array, together: Array, free: Array, whole: Array) -> Rows:
+def _principal_rows(axes: Array, weights: Array, together: Array, free: Array, recorded: Recorded) -> Rows:
     """Rotate axes to the principal axes of their block, sort them, and fix their signs.
 
     Constrained axes come first, then free axes, both in ascending order of amplitude. A block is a set of
     axes that may be rotated into each other without a change of the constraint.
     """
-    turn = _eigenvectors(jnp.where(together, weights @ whole @ weights.T, 0), together)
+    covariance = recorded.covariance(weights)
+    turn = _eigenvectors(jnp.where(together, covariance, 0), together)
     axes, weights = axes @ turn, turn.T @ weights
-    square = jnp.einsum("if,fg,ig->i", weights, whole, weights)
+    square = jnp.einsum("ia,ij,ja->a", turn, covariance, turn) * recorded.signal_part(weights)
     order = jnp.argsort(jax.lax.stop_gradient(square / jnp.max(square)) + 2.0 * free)
     axes, weights, square, free = axes[:, order], weights[order], square[order], free[order]
-    return Rows(fix_signs(axes), weights, square, free.astype(jnp.int32))
+    return Rows(fix_signs(axes), rms_velocities(weights, recorded.used), square, free.astype(jnp.int32))
 
 
-def _rows_along(axes: Array, rows: Array, dof: Array, whole: Array) -> Rows:
+def _rows_along(axes: Array, rows: Array, dof: Array, rms: Array, recorded: Recorded) -> Rows:
     """Coordinates along given axes; ``rows`` (3, 27) are the weights along the axes of the body."""
     weights = axes.T @ rows
-    return Rows(axes, weights, jnp.einsum("if,fg,ig->i", weights, whole, weights), dof)
+    square = jnp.diagonal(recorded.covariance(weights)) * recorded.signal_part(weights)
+    return Rows(axes, rms, square, dof)
 
 
 def _eigenvectors(covariance: Array, together: Array) -> Array:

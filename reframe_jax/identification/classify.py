@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 
 
 @jax.tree_util.register_dataclass
@@ -20,11 +19,3 @@ class Thresholds:
 
     angular: float | jax.Array = 0.160
     linear: float | jax.Array = 0.037
-
-
-def free_rotations(dof: jax.Array) -> jax.Array:
-    """Return the axes, (..., 3) bool, about which a frame can be turned without a change of its constraint.
-
-    These are the axes whose two other axes are both free (1) or both constrained (0) in ``dof``, (..., 3).
-    """
-    return jnp.roll(dof, 1, axis=-1) == jnp.roll(dof, -1, axis=-1)

@@ -1,11 +1,12 @@
 """Explain an identification in plain English."""
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from reframe_jax.constraints.types import BODY_NAMES, LinearType
 from reframe_jax.geometry.numpy_rotations import positive_axis
+from reframe_jax.identification.certainty import Covariance, Excitation
 from reframe_jax.joints.joint import format_vector, two_digits
 from reframe_jax.motion.checks import Status
 
@@ -54,47 +55,7 @@ _LIKE = {
 }
 
 
-class Spread(Protocol):
-    """Covariances of one window; see :class:`reframe_jax.Covariance`."""
-
-    @property
-    def angular_axes(self) -> Any:
-        """(3, 3) rad^2."""
-
-    @property
-    def linear_axes(self) -> Any:
-        """(3, 3) rad^2."""
-
-    @property
-    def position(self) -> Any:
-        """(3, 3) m^2, covariance of the origin."""
-
-    @property
-    def inflation(self) -> Any:
-        """(3,) factors by which slow errors increase the standard deviations."""
-
-    @property
-    def first_order(self) -> Any:
-        """Whether the noise is small enough for error bars."""
-
-
-class Tested(Protocol):
-    """Degrees of freedom that the motion of one window tested; see :class:`reframe_jax.Excitation`."""
-
-    @property
-    def free(self) -> Any:
-        """Number of free axes."""
-
-    @property
-    def motions(self) -> Any:
-        """Number of independent motions."""
-
-    @property
-    def steady(self) -> Any:
-        """Whether a velocity was constant throughout."""
-
-
-def explain_window(found: Any, spread: Spread | None, tested: Tested | None) -> str:
+def explain_window(found: Any, spread: Covariance | None, tested: Excitation | None) -> str:
     """Explain the :class:`.Identification` of one window, as NumPy arrays, with a result.
 
     The lines and the other arguments are those of :meth:`.Identification.explain`.
@@ -142,7 +103,7 @@ def _within(size: float, unit: str) -> str:
     return f", ± {two_digits(size)} {unit} (95 %)"
 
 
-def _where(found: Any, spread: Spread | None) -> str:
+def _where(found: Any, spread: Covariance | None) -> str:
     """State the position of the origin; an empty text if every position is equally valid."""
     free = round(float(np.trace(found.linear.free_position)))
     if free == 3 or found.linear.dof.sum() == 3:
@@ -169,7 +130,7 @@ def _equal_points(projector: np.ndarray, free: int) -> str:
     return f"Any point of the plane through it perpendicular to {direction} is equally valid."
 
 
-def _direction(found: Any, spread: Spread | None) -> str:
+def _direction(found: Any, spread: Covariance | None) -> str:
     """State the direction of the single free or single constrained axis: of rotation, else of translation."""
     turns, slides = int(found.angular.dof.sum()), int(found.linear.dof.sum())
     if np.isfinite(found.universal_axes).all():
@@ -194,7 +155,7 @@ def _direction(found: Any, spread: Spread | None) -> str:
     return line
 
 
-def _still_open(found: Any, tested: Tested | None) -> list[str]:
+def _still_open(found: Any, tested: Excitation | None) -> list[str]:
     """State what the motion does not determine, and which motion to record; at most two lines."""
     doubts, advice, path = [], [], ""
     turns, slides = int(found.angular.dof.sum()), int(found.linear.dof.sum())

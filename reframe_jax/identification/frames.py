@@ -62,7 +62,7 @@ class AngularFrame(_Axes):
         free_probability: (..., 3) probability that the axis is free, in ascending order.
         rms: (..., 3) rad/s, RMS angular velocity about each axis (lambda in the paper), at the smallest time
             scale that is used.
-        amplitude: (..., 3) rad, RMS rotation about each axis over the recording.
+        amplitude: (..., 3) rad, RMS rotation about each axis, from its mean and without white noise.
         norm: (...) rad/s, the minimized norm: the geometric mean of the RMS velocities over axes and scales.
         norms: (..., 2) rad/s, the norms of types G and B.
         tied: (..., 2) bool, types that fit equally well, including the reported type.

@@ -36,35 +36,35 @@ def smallest_scale(used: Moments) -> Array:
     return here & (jnp.cumsum(here) == 1)
 
 
-def rms_velocities(weights: Array, used: Moments, step: Array) -> Array:
+def rms_velocities(weights: Array, used: Moments) -> Array:
     """Compute the RMS velocities (3,), m/s or rad/s, at the smallest scale that the window uses.
 
-    The weights (3, 27) are those of the features in each coordinate; ``step`` is the mean step, s.
+    The weights (3, 27) are those of the features in each coordinate. The RMS velocity is the RMS displacement
+    over the RMS duration, because displacements in longer steps are larger.
     """
     smallest = smallest_scale(used)
     products = jnp.sum(jnp.where(smallest[:, None, None], used.products, 0), axis=0)
     square = jnp.einsum("if,fg,ig->i", weights, products, weights)
-    return jnp.sqrt(jnp.maximum(square, 1e-30)) / (step * jnp.sum(jnp.where(smallest, used.width, 0)))
+    return jnp.sqrt(jnp.maximum(square, 1e-30) / jnp.sum(jnp.where(smallest, used.durations[:, -1], 0)))
 
 
-def _log_speed_norm(value: Array, used: Moments, step: Array) -> Array:
-    """Convert sums (...) of log variances over axes and scales to geometric means of RMS velocities."""
-    spans = jnp.sum(used.details * jnp.log(used.width * step))
-    return jnp.exp((value / 2 / 3 - spans) / jnp.sum(used.details))
-
-
-def types_over_scales(searched: Searched, used: Moments, step: Array) -> Types:
-    """Compute the best frames of one window over its time scales; ``step`` is the mean step, s."""
+def types_over_scales(searched: Searched, used: Moments) -> Types:
+    """Compute the best frames of one window over its time scales."""
     angular, linear, dtype = searched.angular_axes, searched.linear_axes, used.products.dtype
     points = jnp.concatenate([jnp.ones((4, 1), dtype), searched.origins], axis=1)
     rows = jnp.einsum("tiaf,ta->tif", jnp.asarray(ROWS[LINEAR_KINDS], dtype), points)
-    of_linear = jnp.einsum("tai,taf->tif", linear, rows)
-    of_angular = jnp.einsum("tai,taf->tif", angular, jnp.asarray(ROWS[TURN_KINDS][:, :, 0], dtype))
-    speeds = jax.vmap(partial(rms_velocities, used=used, step=step))
-    spread = jnp.einsum("tif,sfg,tig->tsi", of_angular, used.products, of_angular)
-    value = jnp.sum(used.details[:, None] * jnp.log(spread + 1e-30), axis=(1, 2))
-    norm = partial(_log_speed_norm, used=used, step=step)
-    return Types(angular, linear, speeds(of_angular), speeds(of_linear), norm(value), norm(searched.norm))
+    rows = jnp.concatenate([jnp.asarray(ROWS[TURN_KINDS][:, :, 0], dtype), rows])
+    rows = jnp.einsum("tai,taf->tif", jnp.concatenate([angular, linear]), rows)
+    speeds = jax.vmap(partial(rms_velocities, used=used))(rows)
+    # log det Sigma, from the covariances along common axes, which are almost independent
+    sigma = jnp.einsum("tif,sfg,tjg->ijts", rows, used.products, rows)
+    first, second, third = (sigma[i, i] + 1e-30 for i in range(3))
+    a, b, c = sigma[0, 1] / first, sigma[1, 2] / second, sigma[2, 0] / third
+    rest = 1 - sigma[0, 1] * a / second - sigma[1, 2] * b / third - sigma[2, 0] * c / first + 2 * a * b * c
+    logs = jnp.log(first * jnp.maximum(rest, jnp.finfo(dtype).eps)) + jnp.log(second) + jnp.log(third)
+    duration = jnp.log(jnp.where(used.details > 0, used.durations[:, -1], 1))
+    norm = jnp.exp(jnp.sum(used.details * (logs / 3 - duration), axis=1) / 2 / jnp.sum(used.details))
+    return Types(angular, linear, *jnp.split(speeds, [2]), *jnp.split(norm, [2]))
 
 
 def types_of_steps(moments: tuple[Array, Array], searched: Searched, exponent: float) -> Types:

@@ -28,7 +28,7 @@ class Prepared(NamedTuple):
     poses: Array  # (N, P, 4, 4) m, relative to ``centre``
     counted: Array  # (N, P) bool, given poses that are neither outliers nor padding
     # ---- the rest is without outliers and repeated poses
-    section: Array | None  # (N, P) int, sections between gaps; None for chosen scales
+    section: Array  # (N, P) int, sections between gaps; one section for chosen scales
     steps: Array  # (N, K) durations of the steps, s
     length: Array  # (N,) number of poses
     noise: Array  # (N, 2) m and rad, standard deviation of the white noise of every component
@@ -54,7 +54,7 @@ def prepare_windows(
     here = jnp.arange(poses.shape[1], dtype=jnp.int32)[:, None]
     own = here < count
     total = jnp.sum(jnp.where(own.T[..., None], poses[:, :, :3, 3], 0), axis=1)
-    centre = jax.lax.stop_gradient(total / count.astype(poses.dtype)[:, None])
+    centre = total / count.astype(poses.dtype)[:, None]
     poses = poses.at[:, :, :3, 3].add(-centre[:, None])
     rotation, position = kinematics.split_poses(poses)
     path = jnp.concatenate([rotation.reshape(9, *own.shape), position])
@@ -84,11 +84,10 @@ def prepare_windows(
     size = jnp.stack([distance, jnp.full_like(distance, np.pi)], axis=1)
     noise = jnp.where(scales == 0, 4 * float(jnp.finfo(poses.dtype).eps) * size, noise)
     features = pose_features(rotation, position, gaps.T, count, scales == 0)
-    sections = None if single_steps else section.T
-    moments = scale_moments(features.values, own.T, count, sections, scales == 0)
+    moments = scale_moments(features.values, own.T, count, section.T, scales == 0, times.T)
     box = jnp.maximum(REACH, REACH * distance)
     box = jnp.where(jnp.isnan(bounds), box, jnp.asarray(bounds, box.dtype))
-    return Prepared(status, centre, poses, counted.T, sections, gaps.T, count, noise, features, moments, box)
+    return Prepared(status, centre, poses, counted.T, section.T, gaps.T, count, noise, features, moments, box)
 
 
 _Window = tuple[Array, Array, Array, Array]  # path (12, P, N), steps (K, N) in s, sections (P, N), count (N,)

@@ -11,6 +11,7 @@ import numpy as np
 from reframe_jax.constraints.types import POSITION_BODIES, AngularType
 from reframe_jax.identification.axes import (
     Frames,
+    Recorded,
     Rows,
     fix_signs,
     frames_of_entry,
@@ -18,7 +19,7 @@ from reframe_jax.identification.axes import (
     rotation_vector,
 )
 from reframe_jax.identification.cautions import Caution, caution_codes
-from reframe_jax.identification.classify import Thresholds, free_rotations
+from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.frames import AllCandidates, AngularFrame, Candidates, LinearFrame, PoseNoise
 from reframe_jax.identification.naming import SAME_IN_ALL_TYPES
 from reframe_jax.identification.optima import Types, smallest_scale, types_of_steps, types_over_scales
@@ -26,7 +27,7 @@ from reframe_jax.identification.preparation import Prepared
 from reframe_jax.identification.results import Identification
 from reframe_jax.identification.winner import KIND_OF_ENTRY, Winner, winner_by_thresholds, winner_of_window
 from reframe_jax.model.fit import Data, ground_axes
-from reframe_jax.model.moments import Moments
+from reframe_jax.model.moments import Moments, relative_to_mean, relative_to_section
 from reframe_jax.model.solve import Compared, ScaleWeights, Searched
 from reframe_jax.model.table import ENTRIES, entries_at
 from reframe_jax.motion.checks import Status
@@ -60,35 +61,43 @@ def report_windows(
     over the axes, with the exponent. ``of_steps`` has moments of the velocities of single steps, if RMS
     velocities are those of single steps; ``assumed`` () bool, whether the caller assumes a constraint.
     """
-    own = jnp.arange(prepared.steps.shape[1]) < prepared.length[:, None] - 1
-    step = jnp.sum(prepared.steps * own, axis=1) / (prepared.length - 1).astype(prepared.steps.dtype)
     used = prepared.moments._replace(details=weights.search)
     single_steps = of_steps is not None
     if of_steps is not None:
         types = types_of_steps(of_steps, searched, exponent)
     else:
-        types = jax.vmap(types_over_scales)(searched, used, step)
+        types = jax.vmap(types_over_scales)(searched, used)
     of_window = partial(_report_window, thresholds=thresholds, single_steps=single_steps, assumed=assumed)
-    found = jax.vmap(of_window)(prepared, used, weights.amplitude, searched, compared, types, step)
+    recorded = _recorded(prepared, used, weights.amplitude)
+    found = jax.vmap(of_window)(prepared, recorded, weights.amplitude, searched, compared, types)
     return _with_status(found, prepared)
+
+
+def _recorded(prepared: Prepared, used: Moments, scale_weight: Array) -> Recorded:
+    """Return the features of N windows, and their moments, with the weights (N, S) of the used scales."""
+    values = prepared.features.values
+    own = (jnp.arange(values.shape[2]) < prepared.length[:, None])[:, None].astype(values.dtype)
+    # displacements across a gap are not used
+    values = relative_to_section(relative_to_mean(values, own)[0], own, prepared.section)
+    weights = scale_weight, prepared.moments.scale_weight
+    sums = [jnp.einsum("ns,nsfg->nfg", weight, used.products) for weight in weights]
+    return Recorded(values, jnp.sum(own, axis=(1, 2)), used, *sums)
 
 
 def _report_window(
     window: Prepared,
-    used: Moments,
+    recorded: Recorded,
     scale_weight: Array,
     searched: Searched,
     compared: Compared | None,
     types: Types,
-    step: Array,
     *,
     thresholds: Thresholds | None,
     single_steps: bool,
     assumed: Array,
 ) -> tuple[Identification, Array, Array]:
     """Return the identification of one window, whether its origin is on the bounds, and its warning codes."""
-    mean = window.features.mean_rotation
-    whole = jnp.einsum("s,sfg->fg", scale_weight, used.products)
+    mean, used = window.features.mean_rotation, recorded.used
     axes = jax.vmap(fix_signs)(jnp.concatenate([types.angular_axes, types.linear_axes]))
     types = types._replace(angular_axes=axes[:2], linear_axes=axes[2:])
     if thresholds is None:
@@ -103,7 +112,7 @@ def _report_window(
     any_position = _any_position(winner, bodies, types, None if thresholds is None else linear_dof)
     position = fitted.origin - any_position @ fitted.origin
     winner = winner._replace(parameters=fitted._replace(origin=position))
-    frames = frames_of_entry(winner, bodies, types, used, whole, step)
+    frames = frames_of_entry(winner, bodies, types, recorded)
     if thresholds is None:
         angular_dof = _last_free(jnp.sum(frames.angular.dof[0]), 2)
         linear_dof = _last_free(jnp.sum(frames.linear.dof), 4)
@@ -111,7 +120,7 @@ def _report_window(
         # as in the paper, the reported frame is the best frame of its type
         best = jnp.argmin(types.angular_norm).astype(jnp.int32)
         a = frames.angular_type if thresholds is None else best
-        frames = frames_of_types(a, winner, types, (angular_dof, linear_dof), whole)
+        frames = frames_of_types(a, winner, types, (angular_dof, linear_dof), recorded)
     centre = jnp.where((np.array(POSITION_BODIES) == int(AngularType.G))[:, None], window.centre, 0)
     positions = searched.origins.at[kind].set(position) + centre
     candidates = _candidates(frames, types, kind, linear_dof, positions)
@@ -161,7 +170,7 @@ def _of_frame(code: Array, types: Candidates, rows: Rows, free: Array) -> dict[s
         "amplitude": jnp.sqrt(jnp.maximum(rows.square, 0) + 1e-30),
         "norm": types.norm[code],
         "norms": types.norm,
-        "free_rotation": free_rotations(rows.dof),
+        "free_rotation": jnp.roll(rows.dof, 1) == jnp.roll(rows.dof, -1),  # of the two other axes
     }
 
 
@@ -171,12 +180,12 @@ def _candidates(
     """Return the best frame of every type, with the reported frame for the reported types."""
     linear_axes = types.linear_axes.at[kind].set(frames.linear.axes)
     linear_dof = linear_dof.at[kind].set(frames.linear.dof)
-    linear_rms = types.linear_rms.at[kind].set(frames.linear_rms)
+    linear_rms = types.linear_rms.at[kind].set(frames.linear.rms)
     rotvecs = jax.vmap(rotation_vector)(
         jnp.concatenate([frames.angular.axes, linear_axes]), jnp.concatenate([frames.angular.dof, linear_dof])
     )
     return AllCandidates(
-        Candidates(rotvecs[:2], frames.angular.dof, frames.angular_rms, types.angular_norm),
+        Candidates(rotvecs[:2], frames.angular.dof, frames.angular.rms, types.angular_norm),
         Candidates(rotvecs[2:], linear_dof, linear_rms, types.linear_norm, positions),
     )
 

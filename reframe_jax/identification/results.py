@@ -8,7 +8,6 @@ for a batch; a code compares equal to its enum member.
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from types import EllipsisType
 from typing import Any
 
 import jax
@@ -16,21 +15,18 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import index_leaves, traced
+from reframe_jax.compilation import Index, index_leaves, traced
 from reframe_jax.constraints.catalogue import Constraint, describe
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, Dof, LinearType
 from reframe_jax.identification.cautions import caution_sentences
-from reframe_jax.identification.explanation import Spread, Tested, explain_window, in_brackets
+from reframe_jax.identification.certainty import Covariance, Excitation
+from reframe_jax.identification.explanation import explain_window, in_brackets
 from reframe_jax.identification.frames import AllCandidates, AngularFrame, LinearFrame, PoseNoise, member
 from reframe_jax.identification.naming import NAME_OF_ENTRY, constraint_of, name_of
 from reframe_jax.joints.fitting import fit_joint
 from reframe_jax.joints.joint import Joint
 from reframe_jax.motion.checks import Status
-
-_Item = int | slice | EllipsisType | None | np.ndarray | jax.Array
-Index = _Item | tuple[_Item, ...] | list[int]
-"""An index of an array."""
 
 _LEVERS = 0.03, 3.0  # m, limits of the lever: the ratio of the position noise to the orientation noise
 _USUAL_LEVER = 0.3  # m, lever if the noise is unknown
@@ -211,7 +207,7 @@ class Identification:
             universal=universal if np.isfinite(universal).all() else None,
         )
 
-    def explain(self, covariance: Spread | None = None, excitation: Tested | None = None) -> str:
+    def explain(self, covariance: Covariance | None = None, excitation: Excitation | None = None) -> str:
         """Explain the result of a single window in up to six lines of plain English.
 
         The lines state the constraint, its probability, the displacements along constrained and free axes,

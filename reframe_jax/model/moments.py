@@ -27,11 +27,14 @@ class Moments(NamedTuple):
         products: (N, S, F, F) mean of z z' over the details of a scale.
         details: (N, S) number of independent details; see :meth:`using`. 0 where a window has no such scale.
         width: (N, S) poses in a block, h.
+        durations: (N, S, F + 1) mean of (z, T) T over the details of a scale, which take the times T, s; in
+            the smooth part, T is the time from its mean. All zero without times.
     """
 
     products: jax.Array
     details: jax.Array
     width: jax.Array
+    durations: jax.Array
 
     def of_steps(self) -> "Moments":
         """Select the details of consecutive poses, and the smooth part."""
@@ -66,25 +69,28 @@ def scale_moments(
     count: jax.Array,
     section: jax.Array | None = None,
     about_mean: jax.Array | None = None,
+    times: jax.Array | None = None,
 ) -> Moments:
     """Compute the second moments of features at every scale.
 
     Values are features (N, F, P). A block counts if half of its poses do, ``counted`` (N, P) bool; ``count``
     (N,) is the number of poses before the padding. Details are differences within a section between gaps,
     (N, P) int, and the smooth part is relative to the mean of the section; None for one section. With
-    ``about_mean`` () bool, there are no details, and displacements from the mean are the smooth part.
+    ``about_mean`` () bool, there are no details, and displacements from the mean are the smooth part. The
+    poses are recorded at the times (N, P), s.
     """
     poses, dtype = values.shape[2], values.dtype
     weight = counted.astype(dtype)[:, None]
-    total, used = _about_mean(values, weight)
+    total, used = relative_to_mean(values, weight)
     # without noise, the moments are singular: every feature has at least the variance of rounding
     spread = jnp.sum(jnp.square(total), axis=2) / jnp.maximum(used, 1)[:, None]
     floor = _ROUNDINGS * float(jnp.finfo(dtype).eps) * jax.lax.stop_gradient(spread) + _LEAST
     floor = floor[:, None] * jnp.eye(values.shape[1], dtype=dtype)
-    sections = jnp.ones_like(count)
-    if section is not None:
-        first, last = (jnp.where(counted, section, end) for end in (poses, 0))
-        sections += jnp.max(last, axis=1) - jnp.min(first, axis=1)
+    clock = jnp.zeros_like(weight) if times is None else times[:, None]
+    total = jnp.concatenate([total, relative_to_mean(clock, weight)[0]], axis=1)
+    section = jnp.zeros(counted.shape, jnp.int32) if section is None else section
+    first, last = (jnp.where(counted, section, end) for end in (poses, 0))
+    sections = 1 + jnp.max(last, axis=1) - jnp.min(first, axis=1)
     blocks = count if about_mean is None else jnp.where(about_mean, 0, count)  # poses that blocks contain
     length = blocks // sections  # poses in a section
     parts, details, widths = [], [], []  # parts: values of a scale, and how many of them are not zero
@@ -97,18 +103,14 @@ def scale_moments(
         here = ((weight >= max(1, h / 2)) & inside).astype(dtype)
         means = total * (here / jnp.maximum(weight, 1))
         if 2 * h * _PART < poses or h == 1:
-            both = here[..., h:] * here[..., :-h]
-            if section is not None:
-                both *= (section[:, 2 * h - 1 :] == section[:, : 1 - 2 * h])[:, None]
+            both = here[..., h:] * here[..., :-h] * _same(section, 2 * h)
             found = jnp.sum(both, axis=(1, 2))
             fits = (length > (0 if h == 1 else 2 * h * _PART)) & (found >= _FEWEST)
             parts.append(((means[..., h:] - means[..., :-h]) * both, found))
             details.append(jnp.where(fits, found / (2 * h), 0))
             widths.append(jnp.full(len(values), h, dtype))
-        if section is not None and h > 1:
-            here *= (section[:, h - 1 :] == section[:, : 1 - h])[:, None]
-        # the largest block that fits, which is among the last three where there is only padding
-        if h > 1 and (section is not None or 16 * h * _PART >= poses):
+        if h > 1:  # the largest block that fits
+            here *= _same(section, h)
             fits = ((h * _PART < length) & (2 * h * _PART >= length))[:, None, None]
             block, full = (
                 jnp.where(fits, jnp.pad(new, ((0, 0), (0, 0), (0, h - 1))), old)
@@ -118,35 +120,44 @@ def scale_moments(
             whole = jnp.where(h * _PART < blocks, h, whole)
         total, weight = materialize((total[..., h:] + total[..., :-h], weight[..., h:] + weight[..., :-h]))
         h *= 2
-    rest, found = _about_mean(block, full)
-    if section is not None:
-        one = jnp.all(sections <= 1)
-        rest = jax.lax.cond(one, lambda values, *_: values, _about_section, rest, full, section)
+    rest, found = relative_to_mean(block, full)
+    rest = relative_to_section(rest, full, section)
     parts.append((rest, found))
     # motion is correlated: short sections tell no more of its smooth part than a recording without gaps
     details.append(jnp.maximum(jnp.minimum(used / width - sections, used / whole - 1), 0.5))
     # sums are stacked before they are divided: a CPU does not vectorize what it concatenates
     sums = [jnp.einsum("nfd,ngd->nfg", each, each, precision="highest") for each, _ in parts]
     counts = jnp.stack([found for _, found in parts], axis=1)[..., None, None]
+    products = materialize(jnp.stack(sums, axis=1)) / jnp.maximum(counts, 1)
     return Moments(
-        materialize(jnp.stack(sums, axis=1)) / jnp.maximum(counts, 1) + floor[:, None],
-        jnp.stack(details, axis=1),
-        jnp.stack([*widths, width], axis=1),
+        products=products[:, :, :-1, :-1] + floor[:, None],
+        details=jnp.stack(details, axis=1),
+        width=jnp.stack([*widths, width], axis=1),
+        durations=products[:, :, -1],
     )
 
 
-def _about_mean(values: jax.Array, weight: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _same(section: jax.Array, poses: int) -> jax.Array:
+    """Return whether so many consecutive poses are in one section, (N, 1, P - poses + 1) bool."""
+    return (section[:, poses - 1 :] == section[:, : section.shape[1] + 1 - poses])[:, None]
+
+
+def relative_to_mean(values: jax.Array, weight: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Values (N, F, P) relative to their mean, 0 where the weight (N, 1, P) is 0; sum (N,) of the weights."""
     found = jnp.sum(weight, axis=(1, 2))
     mean = jnp.sum(values * weight, axis=2) / jnp.maximum(found, 1)[:, None]
     return (values - mean[..., None]) * weight, found
 
 
-def _about_section(values: jax.Array, weight: jax.Array, section: jax.Array) -> jax.Array:
-    """Values (N, F, P), 0 where the weight (N, 1, P) is 0, relative to the mean of their section (N, P)."""
+def relative_to_section(values: jax.Array, weight: jax.Array, section: jax.Array) -> jax.Array:
+    """Values (N, F, P), relative to their mean, relative to the mean of their section (N, P) instead.
+
+    The weight (N, 1, P) is 1, or 0 where values do not count and are 0.
+    """
 
     def relative(values: jax.Array, weight: jax.Array, section: jax.Array) -> jax.Array:
         sums = jax.ops.segment_sum(jnp.concatenate([values, weight]).T, section, len(section))[section].T
         return (values - sums[:-1] / jnp.maximum(sums[-1], 1)) * weight
 
-    return jax.vmap(relative)(values, weight, section)
+    one = jnp.all(section == section[:, :1])
+    return jax.lax.cond(one, lambda values, *_: values, jax.vmap(relative), values, weight, section)

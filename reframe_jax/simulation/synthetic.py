@@ -42,7 +42,7 @@ _ANGULAR_AMPLITUDE = 0.6  # rad/s, amplitude of each sine
 _LINEAR_AMPLITUDE = 0.15  # m/s, amplitude of each sine
 _PITCH = 0.05  # m/rad, default pitch of a screw
 _ROTATION_RATIO = 3.0  # rad/m, standard deviation of orientations to that of positions in the paper
-_SUBSTEPS = 4  # Runge-Kutta steps per sample; the error is below 1e-9 m at dt = 0.1 s
+_SUBSTEPS = 4  # Runge-Kutta steps per sample; the error is about 1e-7 m at dt = 0.1 s
 
 
 @jax.tree_util.register_dataclass

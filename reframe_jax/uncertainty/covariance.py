@@ -1,7 +1,5 @@
 """Compute the covariance of an identification."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, get_args
 
@@ -9,11 +7,10 @@ import jax
 import jax.numpy as jnp
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import index_leaves
-from reframe_jax.geometry import rotations
+from reframe_jax.identification.certainty import Covariance
 from reframe_jax.identification.options import Scales
 from reframe_jax.identification.preparation import Prepared
-from reframe_jax.identification.results import Identification, Index
+from reframe_jax.identification.results import Identification
 from reframe_jax.uncertainty.refit import Windows, over_windows, refit_windows
 from reframe_jax.uncertainty.spread import combine_parts
 
@@ -25,89 +22,6 @@ Method = Literal["derivative", "bootstrap"]
 
 _LARGE_TURN = 0.2  # rad, largest standard deviation of a first-order covariance
 _LARGE_SHIFT = 0.25  # largest standard deviation of the origin, as a fraction of half the search box
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Covariance:
-    """First-order covariance of an identification.
-
-    The nine components are a small rotation of the angular axes (rad), a small rotation of the linear axes
-    (rad), and a shift of the origin (m). A rotation is a rotation vector in the body of the frame type; axes
-    become exp(rotation vector) axes. Components without effect on the constraint, given by
-    ``found.linear.free_position`` and ``free_rotation``, have zero variance. Components with an effect that
-    the motion does not determine have a large standard deviation: 1 rad, or half the width of the box in
-    which origins are searched (2 m or more).
-
-    Attributes:
-        matrix: (..., 9, 9) covariance of the nine components. NaN if the window failed.
-        inflation: (..., 3) factor on the standard deviations of the angular axes, the linear axes and the
-            origin, because of slow errors such as tracker drift: the ratio of the RMS over all directions.
-            The factor is 1 if parts of the recording agree within white errors.
-        first_order: (...) bool, whether a first-order covariance is valid: standard deviations of the axes
-            below 0.2 rad, and of the origin below a quarter of the half width of the box. If False, errors
-            may be larger.
-    """
-
-    matrix: jax.Array
-    inflation: jax.Array
-    first_order: jax.Array
-
-    def __getitem__(self, index: Index) -> "Covariance":
-        """Windows of a batch, indexed like an array."""
-        return index_leaves(self, index)
-
-    @property
-    def angular_axes(self) -> jax.Array:
-        """(..., 3, 3) rad^2, covariance of the rotation of the angular axes, in the body of their type."""
-        return self.matrix[..., :3, :3]
-
-    @property
-    def linear_axes(self) -> jax.Array:
-        """(..., 3, 3) rad^2, covariance of the rotation of the linear axes, in the body of their type."""
-        return self.matrix[..., 3:6, 3:6]
-
-    @property
-    def position(self) -> jax.Array:
-        """(..., 3, 3) m^2, covariance of the origin, in the body that the type's second letter names."""
-        return self.matrix[..., 6:, 6:]
-
-    def of(self, function: Callable[[Identification], jax.Array], found: Identification) -> jax.Array:
-        """Propagate the covariance to a function of the identification, by the delta method.
-
-        Args:
-            function: differentiable function from an identification of one window to an array of n numbers.
-                It may read the rotation vectors and axes of both frames, the position, and the types.
-            found: the identification to which this covariance belongs, of one window or a batch.
-
-        Returns:
-            Covariance (n, n) of the n numbers, with the leading axes of ``found``.
-        """
-
-        def of_one(one: Identification, matrix: jax.Array) -> jax.Array:
-            jacobian = jax.jacfwd(lambda change: jnp.ravel(function(move(one, change))))
-            slope = jacobian(jnp.zeros(9, matrix.dtype))
-            return slope @ matrix @ slope.T
-
-        for _ in self.matrix.shape[:-2]:
-            of_one = jax.vmap(of_one)
-        return of_one(found, self.matrix)
-
-
-def move(found: Identification, change: jax.Array) -> Identification:
-    """Change an identification by the nine components (9,) of :class:`Covariance`."""
-
-    def turned(rotvec: jax.Array, by: jax.Array) -> jax.Array:
-        return rotations.rotation_log(rotations.rotation_exp(by) @ rotations.rotation_exp(rotvec))
-
-    angular, linear = found.angular, found.linear
-    return replace(
-        found,
-        angular=replace(angular, rotvec=turned(angular.rotvec, change[:3])),
-        linear=replace(
-            linear, rotvec=turned(linear.rotvec, change[3:6]), position=linear.position + change[6:]
-        ),
-    )
 
 
 def covariance(

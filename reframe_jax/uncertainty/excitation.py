@@ -10,19 +10,18 @@ suggest:
 - velocities along free axes were proportional: there were fewer independent motions than free axes.
 """
 
-from dataclasses import dataclass
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import index_leaves
 from reframe_jax.geometry.small import solve_positive
+from reframe_jax.identification.certainty import Excitation
 from reframe_jax.identification.naming import constraint_of
+from reframe_jax.identification.optima import smallest_scale
 from reframe_jax.identification.options import Scales
 from reframe_jax.identification.preparation import Prepared
-from reframe_jax.identification.results import Identification, Index
+from reframe_jax.identification.results import Identification
 from reframe_jax.model.fit import coordinates
 from reframe_jax.model.table import ENTRIES
 from reframe_jax.uncertainty.refit import Windows, over_windows
@@ -30,43 +29,7 @@ from reframe_jax.uncertainty.refit import Windows, over_windows
 _STEADY = 0.03  # residual fraction of a constant, fitted by velocities, below which a velocity is constant
 _PROPORTIONAL = 1e-3  # residual fraction of a velocity, fitted by the others, below which it is dependent
 _NOISES = 3.0  # smallest ratio of a motion to its noise
-_ENDS = 8  # the mean velocity compares the mean poses of the first and the last eighth of a window
 _NAMED = np.array([constraint_of(code) is not None for code in range(len(ENTRIES))])
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Excitation:
-    """The degrees of freedom that a motion tested.
-
-    Attributes:
-        free: (...) int, degrees of freedom of the identified constraint.
-        motions: (...) int, number of independent motions along these degrees of freedom.
-        steady: (...) bool, whether a velocity, or a sum of velocities, was constant in the whole recording.
-        named: (...) bool, whether the constraint has a name; if not, the motion probably missed a free axis.
-    """
-
-    free: jax.Array
-    motions: jax.Array
-    steady: jax.Array
-    named: jax.Array
-
-    def __getitem__(self, index: Index) -> "Excitation":
-        """Windows of a batch, indexed like an array."""
-        return index_leaves(self, index)
-
-    @property
-    def one_path(self) -> jax.Array:
-        """(...) bool, whether the body followed a single path, as on a hinge or a rail."""
-        return self.motions == 1
-
-    @property
-    def determined(self) -> jax.Array:
-        """(...) bool, whether the motion determines the constraint: two or more independent, varying motions.
-
-        If False, the identification describes the recorded motion; the mechanism may allow more.
-        """
-        return (self.motions > 1) & (self.motions == self.free) & ~self.steady & self.named
 
 
 def excitation(
@@ -100,21 +63,22 @@ def _window_excitations(window: Prepared, windows: Windows, _: jax.Array) -> Exc
     _, used, _, mean_rotation, entry, start, found, _ = windows
     straight = start._replace(pitch=jnp.zeros_like(start.pitch))
     weights = jax.vmap(coordinates)(straight, mean_rotation, entry)
-    # differences of block means, divided by the block length, are velocities in m or rad per sample
-    first = jnp.argmax(used.details > 0, axis=1)
-    width = jnp.take_along_axis(window.moments.width, first[:, None], axis=1)
-    products = jnp.take_along_axis(used.products, first[:, None, None, None], axis=1)[:, 0]
-    gram = jnp.einsum("nif,nfg,njg->nij", weights, products, weights) / jnp.square(width)[..., None]
-    index, end = jnp.arange(window.poses.shape[1])[None], window.length[:, None]
-    size = jnp.maximum(end // _ENDS, 1)
-    late, early = (
-        jnp.einsum("np,nfp->nf", of.astype(mean_rotation.dtype), window.features.values) / size
-        for of in ((index >= end - size) & (index < end), index < size)
+    # velocities are displacements at the smallest scale over the RMS duration
+    smallest = jax.vmap(smallest_scale)(used)
+    products, durations, width = (
+        jnp.einsum("ns,ns...->n...", smallest.astype(leaf.dtype), leaf)
+        for leaf in (used.products, used.durations, used.width)
     )
-    mean = jnp.einsum("nif,nf->ni", weights, late - early) / (end - size)
+    square = durations[:, -1:]
+    gram = jnp.einsum("nif,nfg,njg->nij", weights, products, weights) / square[..., None]
+    mean = jnp.einsum("nif,nf->ni", weights, durations[:, :-1]) / square
     reach = [jnp.einsum("nif,nmfc->nmic", weights, of) for of in window.features[1:3]]
     gain = [jnp.mean(jnp.sum(jnp.square(of), axis=-1), axis=1) for of in reach]
-    noise = 2 * (gain[0] * window.noise[:, :1] ** 2 + gain[1] * window.noise[:, 1:] ** 2) / width**3
+    noise = (
+        2
+        * (gain[0] * window.noise[:, :1] ** 2 + gain[1] * window.noise[:, 1:] ** 2)
+        / (width[:, None] * square)
+    )
     free = ~jnp.asarray(entry.held) | (entry.pitch[:, None] & (jnp.arange(6) == 5))
     motions, steady = jax.vmap(_independent_motions)(gram, mean, noise, free)
     failed = (window.status >= 10) | (found.entry_code < 0)
@@ -133,7 +97,7 @@ def _independent_motions(
     """Number of independent motions of one window, and whether a sum of free velocities is constant.
 
     ``gram`` (6, 6) are mean products of velocities, of which the noise adds ``noise`` (6,) to the diagonal;
-    ``mean`` (6,) are mean velocities, ``free`` (6,) whether each axis is free.
+    ``mean`` (6,) are the constant velocities that fit best, ``free`` (6,) whether each axis is free.
     """
     tiny = jnp.finfo(gram.dtype).tiny ** 0.5
     unit = jnp.where(free, 1 / jnp.sqrt(jnp.maximum(jnp.diagonal(gram), tiny)), 0)

@@ -206,8 +206,7 @@ def _moments_of_parts(window: Prepared, parts: str, about_mean: Array) -> tuple[
         return taken.reshape(-1, *taken.shape[2:])
 
     own = own.reshape(-1, own.shape[2])
-    section = None if window.section is None else take(window.section)
-    moments = scale_moments(take(values), own, length.ravel(), section, about_mean)
+    moments = scale_moments(take(values), own, length.ravel(), take(window.section), about_mean)
     return moments, jnp.sum(own, axis=1).reshape(length.shape)
 
 
