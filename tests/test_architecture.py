@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from exported import names_of
 from jax.typing import DTypeLike
 from numpy.typing import ArrayLike
 
@@ -160,7 +161,7 @@ def public_callables() -> dict[str, Callable[..., Any]]:
     found: dict[str, Callable[..., Any]] = {}
     for name in ["reframe_jax", *re.findall(r"^\.\. automodule:: (\S+)$", page, re.MULTILINE)]:
         module = importlib.import_module(name)
-        for public in module.__all__:
+        for public in names_of(module):
             thing = getattr(module, public)
             if inspect.isclass(thing):
                 for method in members_of(thing):

@@ -11,6 +11,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from exported import names_of
 
 import reframe_jax
 from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS, Constraint
@@ -155,7 +156,7 @@ def test_every_public_name_of_the_modules_is_explained() -> None:
     } <= set(modules)
     for name in ["reframe_jax", *modules]:
         module = importlib.import_module(name)
-        for public in module.__all__:
+        for public in names_of(module):
             thing = getattr(module, public)
             if inspect.isclass(thing) or inspect.isfunction(thing):
                 assert inspect.getdoc(thing), f"{name}.{public} has no docstring"

@@ -9,7 +9,7 @@ from algebra import from_matrix
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reframe_jax.geometry.small import solve_positive
+from reframe_jax.geometry.small import count_independent, solve_positive
 from reframe_jax.geometry.symmetric import (
     INDEX_PAIRS,
     eigh,
@@ -168,6 +168,17 @@ def test_solve_positive(rng):
 
 def determinant(s):
     return jnp.prod(jnp.stack(pivots(s)), axis=0)
+
+
+def test_independent_variables_are_counted(rng):
+    """Variables of covariances with ranks from 0 to 6, and with variances below the limit."""
+    factors = [rng.normal(size=(6, rank)) for rank in range(7)]
+    covariances = np.stack([factor @ factor.T for factor in factors], axis=-1)
+    found = count_independent(jnp.asarray(covariances), jnp.full((6, 7), 1e-9))
+    np.testing.assert_array_equal(found, np.arange(7))
+    sizes = np.diag([4.0, 1.0, 1e-3, 1e-5, 2.0, 0.0])
+    assert count_independent(jnp.asarray(sizes), jnp.full(6, 1e-4)) == 4
+    assert count_independent(jnp.asarray(sizes), jnp.asarray([1e-4, 1e-4, 1e-2, 1e-4, 1e-4, 1e-4])) == 3
 
 
 def test_pivots(rng):

@@ -87,7 +87,7 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         if likely < _CLEAR:
             freedom += f" ({common.format_probability(likely)})"
         size = f"RMS {two_digits(1e3 * frame.amplitude[i])} {_SIZES[group]}"
-        speed = f"{_speed(frame.rms[i]):>8} {_UNITS[group]:5}"
+        speed = f"{frame.rms[i]:>8.3g} {_UNITS[group]:5}"
         lines.append(f"  axis {i + 1}  {format_vector(axis, 3, 6)}  {speed}  {freedom}, {size}")
     if isinstance(kind, LinearType):
         lines.append(f"  origin  {format_vector(frame.position, 4)} m in the {origin_in}")
@@ -122,11 +122,6 @@ def _noise_line(found: Identification, window: common.Window | None) -> str:
     return "Noise   " + "; ".join(parts)
 
 
-def _speed(value: float) -> str:
-    """Format a velocity; values below rounding errors are printed as zero."""
-    return f"{value if value > 1e-18 else 0:.3g}"
-
-
 def _norms_block(found: Identification) -> list[str]:
     lines, tied = [], False
     for group, types in common.TYPES.items():
@@ -135,7 +130,7 @@ def _norms_block(found: Identification) -> list[str]:
         for kind in types:
             mark = "*" if kind == int(frame.type_code) else "~" if frame.tied[kind] else " "
             tied |= mark == "~"
-            entries.append(f"{kind} {_speed(frame.norms[kind])}{mark}")
+            entries.append(f"{kind} {frame.norms[kind]:.3g}{mark}")
         lines.append(f"Norms   {group:7}  {'  '.join(entries).rstrip()}  {_UNITS[group]}")
     lines.append("        * reported" + (", ~ tied: fits equally well" if tied else ""))
     return lines

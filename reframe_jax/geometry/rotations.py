@@ -16,16 +16,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = [
-    "hat",
-    "left_jacobian",
-    "quaternion_to_rotation",
-    "rotation_exp",
-    "rotation_log",
-    "rotation_to_quaternion",
-    "vee",
-]
-
 _CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(0, 2, 1)  # [k, i, j]: of e_k x e_j along e_i
 _TERMS = 10  # terms of each series below one radian; the first omitted term is < 1e-17
 _SINC = tuple((-1) ** order / factorial(2 * order + 1) for order in range(_TERMS))

@@ -184,6 +184,25 @@ def solve_positive(matrix: Array, vector: Array) -> Array:
     return jax.lax.fori_loop(0, length, eliminate, (matrix, vector))[1]
 
 
+def count_independent(covariance: Array, least: Array) -> Array:
+    """Count the independent variables of a covariance (n, n, ...), by elimination with pivots.
+
+    A variable counts if the variance that the variables before it do not explain exceeds ``least`` (n, ...).
+    """
+    each = np.arange(len(covariance))
+
+    def eliminate(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        rest, number = carry
+        excess = rest[each, each] - least
+        there = largest(excess) > 0
+        row = jnp.sum(jnp.where(excess == largest(excess), rest, 0), axis=1)
+        pivot = jnp.sum(jnp.where(excess == largest(excess), row, 0), axis=0)
+        return rest - jnp.where(there, row[:, None] * row / pivot, 0), number + there
+
+    number = jnp.zeros(least.shape[1:], jnp.int32)
+    return jax.lax.fori_loop(0, len(each), eliminate, (covariance, number))[1]
+
+
 def diagonalize(
     forms: Array, weights: Array | None = None, together: Array | None = None, sweeps: int = 5
 ) -> Array:

@@ -11,8 +11,6 @@ import jax.numpy as jnp
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import apply
 
-__all__ = ["make_pose", "pose_exp"]
-
 
 def make_pose(rotation: jax.Array, position: jax.Array) -> jax.Array:
     """Build pose matrices (..., 4, 4) from rotation matrices (..., 3, 3) and positions (..., 3), m."""

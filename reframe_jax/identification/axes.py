@@ -17,7 +17,7 @@ from reframe_jax.identification.optima import TURN_KINDS, Types, rms_velocities
 from reframe_jax.identification.winner import Winner
 from reframe_jax.model.fit import coordinates_along
 from reframe_jax.model.moments import Moments
-from reframe_jax.model.table import ENTRIES, LINEAR_KINDS, ROWS, TABLE, entries_at
+from reframe_jax.model.table import ENTRIES, LINEAR_KINDS, ROWS, TABLE
 
 Array = jax.Array
 
@@ -41,8 +41,7 @@ class Recorded(NamedTuple):
     values: Array  # (27, P) relative to their mean, 0 for padding
     number: Array  # () number of poses
     used: Moments  # with the weights of the scales in the search
-    signal: Array  # (27, 27) moments, summed over the used scales
-    every: Array  # (27, 27) moments, summed over all scales
+    scales: Array  # (2, 27, 27) moments, summed over the used scales, and over all scales
 
     def covariance(self, weights: Array) -> Array:
         """Covariance (3, 3) over the recording of coordinates with the weights (3, 27)."""
@@ -51,7 +50,7 @@ class Recorded(NamedTuple):
 
     def signal_part(self, weights: Array) -> Array:
         """Part (3,) of the mean squares of coordinates that is at the used scales, and not white noise."""
-        signal, every = (jnp.einsum("if,fg,ig->i", weights, x, weights) for x in (self.signal, self.every))
+        signal, every = jnp.einsum("if,kfg,ig->ki", weights, self.scales, weights)
         return signal / every
 
 
@@ -65,8 +64,8 @@ class Frames(NamedTuple):
 
 def frames_of_entry(winner: Winner, bodies: Array, types: Types, recorded: Recorded) -> Frames:
     """Return the frames of the reported entry of one window, whose axes in both bodies are (2, 3, 3)."""
-    entry = entries_at(jnp.maximum(winner.code, 0))
-    parameters = winner.parameters._replace(pitch=jnp.zeros_like(winner.parameters.pitch))
+    entry, parameters = winner.entry, winner.parameters
+    parameters = parameters._replace(pitch=jnp.zeros_like(parameters.pitch))
     weights = coordinates_along(bodies[0], parameters, entry)
     free = ~entry.held | (entry.pitch & (jnp.arange(6) == 5))
     axes = bodies[jnp.asarray(ORIENTATION_BODIES)[winner.kind]][:, entry.column[3:]]

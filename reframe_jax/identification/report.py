@@ -29,7 +29,7 @@ from reframe_jax.identification.winner import KIND_OF_ENTRY, Winner, winner_by_t
 from reframe_jax.model.fit import Data, ground_axes
 from reframe_jax.model.moments import Moments, relative_to_mean, relative_to_section
 from reframe_jax.model.solve import Compared, ScaleWeights, Searched
-from reframe_jax.model.table import ENTRIES, entries_at
+from reframe_jax.model.table import ENTRIES
 from reframe_jax.motion.checks import Status
 
 Array = jax.Array
@@ -79,9 +79,9 @@ def _recorded(prepared: Prepared, used: Moments, scale_weight: Array) -> Recorde
     own = (jnp.arange(values.shape[2]) < prepared.length[:, None])[:, None].astype(values.dtype)
     # displacements across a gap are not used
     values = relative_to_section(relative_to_mean(values, own)[0], own, prepared.section)
-    weights = scale_weight, prepared.moments.scale_weight
-    sums = [jnp.einsum("ns,nsfg->nfg", weight, used.products) for weight in weights]
-    return Recorded(values, jnp.sum(own, axis=(1, 2)), used, *sums)
+    weights = jnp.stack([scale_weight, prepared.moments.scale_weight])
+    sums = jnp.einsum("kns,nsfg->nkfg", weights, used.products)
+    return Recorded(values, jnp.sum(own, axis=(1, 2)), used, sums)
 
 
 def _report_window(
@@ -125,7 +125,7 @@ def _report_window(
     positions = searched.origins.at[kind].set(position) + centre
     candidates = _candidates(frames, types, kind, linear_dof, positions)
     velocities = window.length - 1
-    a, linear, known = frames.angular_type, candidates.linear, entries_at(jnp.maximum(winner.code, 0))
+    a, linear, known = frames.angular_type, candidates.linear, winner.entry
     angular_rows = jax.tree.map(lambda leaf: leaf[a], frames.angular)
     turns = jnp.sum(angular_rows.dof)
     crossed = known.crossed & (thresholds is None)

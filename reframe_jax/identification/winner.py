@@ -11,7 +11,7 @@ from reframe_jax.identification.naming import CLASS_CODES, NAME_OF_ENTRY, SAME_I
 from reframe_jax.identification.optima import Types
 from reframe_jax.model.fit import Data, Parameters, settle
 from reframe_jax.model.solve import Compared, Searched
-from reframe_jax.model.table import ENTRIES, entries_at
+from reframe_jax.model.table import ENTRIES, Table, entries_at
 
 Array = jax.Array
 _VARIANT = 1e-3  # smallest probability of a reported entry, as a fraction of the probability of its name
@@ -23,6 +23,7 @@ class Winner(NamedTuple):
     """The reported entry of the table for a window."""
 
     code: Array  # () code of the entry, or ``NO_ENTRY``
+    entry: Table  # its row of the table, or any row
     kind: Array  # () ``LinearType`` of the frame
     name_probability: Array  # () probability of its name; NaN with thresholds
     parameters: Parameters  # fitted parameters of the entry, differentiable with respect to the moments
@@ -48,7 +49,7 @@ def winner_of_window(searched: Searched, compared: Compared, data: Data) -> Winn
     fitted = jax.tree.map(lambda leaf: leaf[slot], compared.parameters)
     entry = entries_at(code)
     parameters = settle(fitted, data, entry, searched.tilt_scale, entry.tied)
-    return Winner(code, jnp.asarray(KIND_OF_ENTRY)[code], jnp.max(of_name), parameters, probability)
+    return Winner(code, entry, jnp.asarray(KIND_OF_ENTRY)[code], jnp.max(of_name), parameters, probability)
 
 
 def winner_by_thresholds(types: Types, searched: Searched, angular: Array, linear: Array) -> Winner:
@@ -69,4 +70,5 @@ def winner_by_thresholds(types: Types, searched: Searched, angular: Array, linea
     parameters = jax.tree.map(lambda leaf: leaf[jnp.maximum(code, 0)], searched.starts)
     parameters = parameters._replace(origin=searched.origins[linear_type])
     unknown = jnp.full(len(ENTRIES), jnp.nan, types.linear_norm.dtype)
-    return Winner(code, linear_type, unknown[0], parameters, unknown)
+    entry = entries_at(jnp.maximum(code, 0))
+    return Winner(code, entry, linear_type, unknown[0], parameters, unknown)

@@ -133,7 +133,7 @@ class Evaluated(NamedTuple):
 
 
 def compare(entries: Evaluated, pitch: Array, table: Table, standard: np.ndarray) -> Array:
-    """Compute the log probability (E, ...) of entries. Arrays have components, entries, then problems.
+    """Compute the log probability (E, ...) of entries, but for a sum. Arrays end with entries and problems.
 
     The pitch is (E, ...), m/rad. The held coordinates of ``standard`` (E,) entries may show how large slow
     errors are.
@@ -154,8 +154,7 @@ def compare(entries: Evaluated, pitch: Array, table: Table, standard: np.ndarray
     nothing = ~jnp.any(table.held, axis=0) & jnp.isfinite(value)
     powers = jnp.where(nothing, C.nothing_power * value, -jnp.inf)
     mean = (jax.nn.logsumexp(powers, axis=0) - log(len(LinearType))) / C.nothing_power
-    value = jnp.where(nothing, mean - C.nothing_held, value)
-    return value - jax.nn.logsumexp(value, axis=0)
+    return jnp.where(nothing, mean - C.nothing_held, value)
 
 
 def _raised(log_variance: Array, table: Table, best: Array) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.geometry.kernel import in_registers
-from reframe_jax.geometry.small import materialize, pick, sandwich, times, total
+from reframe_jax.geometry.small import count_independent, materialize, pick, sandwich, times, total
 from reframe_jax.model import features as z
 from reframe_jax.model.evaluation import WindowStatistics, evaluate_entries, window_statistics
 from reframe_jax.model.evidence import Evaluated, compare
@@ -32,6 +32,8 @@ Array = jax.Array
 CANDIDATES = 7  # entries that are fitted; with poor starting parameters, the right one may rank only fifth
 # entries whose held coordinates do not depend on a starting origin that two directions leave undetermined
 _PLACED = np.array([len(entry.any_origin) != 2 for entry in ENTRIES])
+# independent components of a twist under entries with three free rotations; 0 for others
+_COMPONENTS = np.array([sum(entry.dof) * (entry.dof[0] == 3) for entry in ENTRIES], np.int32)
 _EVERY = Table(*(np.moveaxis(leaf, 0, -1)[..., None] for leaf in TABLE))  # entries (..., E, 1) as in problems
 
 
@@ -225,12 +227,30 @@ def compare_windows(
     # an entry with its starting parameters is no standard, unless it has none
     final = np.append(TABLE.parameters == 0, np.ones(CANDIDATES, bool))
     values = log_probability(both, entries_at(both.codes), final)
+    best = pick(both.codes, jnp.argmax(values, axis=0)[None], 0)[0]
+    # what may hold by chance is less certain: every missing motion halves the log odds
+    values = values * 0.5 ** _missing_motions(products, weights.amplitude, noise[:, 0], best)
+    values = values - jax.nn.logsumexp(values, axis=0)
     everywhere = jnp.max(jnp.where(same, values[None, number:], values[:number, None]), axis=1)
     others = jnp.broadcast_to(jnp.where(allowed[exact], exact, -1)[:, None], (len(exact), details.shape[1]))
     codes = jnp.concatenate([fitted.codes, others])
     at = jax.tree.map(lambda a, b: jnp.concatenate([a, b[..., exact, :]], axis=-2), fitted.at, starts)
     parameters = _parameters(at, entries_at(codes), windows)
     return Compared(everywhere.T, codes.T, parameters)
+
+
+def _missing_motions(products: Array, scale_weight: Array, noise: Array, codes: Array) -> Array:
+    """Number (N,) of independent motions that N bodies lack to test entries with three free rotations.
+
+    If n translations are held, the twist has 6 - n independent components. A slow or short motion has fewer
+    that exceed slow errors, one standard deviation above their median, and obeys constraints by chance.
+    """
+    unit = jnp.asarray(np.repeat([C.lever, 1], 3)[:, None, None], products.dtype)
+    forms = [products[a : a + 6, a : a + 6] for a in (z.TURN_BODY.start, z.TURN_GROUND.start)]
+    whole = jnp.einsum("fgbsn,ns->fgbn", jnp.stack(forms, axis=2), scale_weight) * unit * unit[:, None]
+    error = np.exp(2 * C.error_spread) * (C.error_position**2 + jnp.square(C.error_of_noise * noise))
+    seen = jnp.min(count_independent(whole, jnp.broadcast_to(error, (6, 2, len(noise)))), axis=0)
+    return jnp.maximum(jnp.asarray(_COMPONENTS)[codes] - seen, 0)
 
 
 def _without(entries: _Round, gone: Array) -> _Round:

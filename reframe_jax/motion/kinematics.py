@@ -22,15 +22,6 @@ import jax.numpy as jnp
 from reframe_jax.geometry.small import axial, times
 from reframe_jax.motion.paths import mean_twists, step_twists
 
-__all__ = [
-    "Discretization",
-    "angular_velocities",
-    "linear_velocity_maps",
-    "split_poses",
-    "turns_of",
-    "velocity_components",
-]
-
 Discretization = Literal["chord", "left"]
 
 

@@ -11,8 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-__all__ = ["constant_components", "estimate_noise", "masked_median", "unit_of_rounding"]
-
 _ORDERS = (4, 6)  # orders of the differences; those of order 2 contain the motion of few poses
 _MEDIAN_LENGTHS = (1.0, 0.6745, 1.1774, 1.5382)  # of standard normal vectors with 0, 1, 2 and 3 components
 _OFF_GRID = 0.05  # mean distance of steps from multiples of the smallest step; 0.25 without rounding

@@ -25,8 +25,6 @@ from reframe_jax.motion.checks import MIN_VELOCITIES
 from reframe_jax.motion.noise import masked_median
 from reframe_jax.tuning import MOTION as C
 
-__all__ = ["find_outliers", "find_repeats"]
-
 Array = jax.Array
 _REST = 12  # equal poses beyond which a body is at rest; up to then, a slow tracker repeats its poses
 _LONGEST = 12  # poses of a run, at most

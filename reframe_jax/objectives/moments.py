@@ -16,8 +16,6 @@ import numpy as np
 
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
 
-__all__ = ["MONOMIALS", "add_variance", "covariance_at", "velocity_moments"]
-
 MONOMIALS = tuple((a, b) for a in range(4) for b in range(a, 4))
 """The ten monomials of a quadratic polynomial in p: pairs of indices into (1, px, py, pz), to multiply."""
 

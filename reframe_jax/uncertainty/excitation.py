@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.geometry.small import solve_positive
+from reframe_jax.geometry.small import count_independent, solve_positive
 from reframe_jax.identification.certainty import Excitation
 from reframe_jax.identification.naming import constraint_of
 from reframe_jax.identification.optima import smallest_scale
@@ -107,13 +107,4 @@ def _independent_motions(
     lifted = rest + jnp.diag(jnp.where(free, level + 1e-9, 1))
     constant = (mean * unit) @ solve_positive(lifted, mean * unit)
     least = jnp.maximum(_NOISES**2 * level, _PROPORTIONAL)
-    number = jnp.zeros((), jnp.int32)
-    for _ in range(6):  # pivoted elimination: subtract the projection on one motion from the others
-        left = jnp.diagonal(rest)
-        margin = jnp.where(free, left - least, -1)
-        best = jnp.argmax(margin)
-        there = margin[best] > 0
-        explained = jnp.outer(rest[best], rest[best]) / jnp.where(there, left[best], 1)
-        rest = jnp.where(there, rest - explained, rest)
-        number = number + there.astype(jnp.int32)
-    return number, 1 - constant < _STEADY
+    return count_independent(rest, jnp.where(free, least, jnp.inf)), 1 - constant < _STEADY
