@@ -44,9 +44,9 @@ class Recorded(NamedTuple):
     scales: Array  # (2, 27, 27) moments, summed over the used scales, and over all scales
 
     def covariance(self, weights: Array) -> Array:
-        """Covariance (3, 3) over the recording of coordinates with the weights (3, 27)."""
-        coordinates = jnp.matmul(weights, self.values, precision="highest")
-        return jnp.matmul(coordinates, coordinates.T, precision="highest") / self.number
+        """Covariance (..., 3, 3) over the recording of coordinates with the weights (..., 3, 27)."""
+        coordinates = jnp.einsum("...if,fp->...ip", weights, self.values, precision="highest")
+        return jnp.einsum("...ip,...jp->...ij", coordinates, coordinates, precision="highest") / self.number
 
     def signal_part(self, weights: Array) -> Array:
         """Part (3,) of the mean squares of coordinates that is at the used scales, and not white noise."""
@@ -79,7 +79,8 @@ def frames_of_entry(winner: Winner, bodies: Array, types: Types, recorded: Recor
         rows = axes.T @ jnp.asarray(ROWS[TURN_KINDS[body], :, 0], axes.dtype)
         of_angular.append((axes, rows, turns_free[:, None] == turns_free[None, :], turns_free))
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), of_linear, *of_angular)
-    every: Rows = jax.vmap(partial(_principal_rows, recorded=recorded))(*stacked)
+    stacked += (recorded.covariance(stacked[1]),)
+    every: Rows = jax.vmap(partial(_principal_rows, recorded))(*stacked)
     linear, angular = Rows(*(leaf[0] for leaf in every)), Rows(*(leaf[1:] for leaf in every))
     # ---- the body in which the rotation is reported
     in_ground = jnp.asarray(_IN_GROUND)[jnp.maximum(winner.code, 0)]
@@ -105,13 +106,14 @@ def frames_of_types(
     return Frames(angular_type, angular, linear)
 
 
-def _principal_rows(axes: Array, weights: Array, together: Array, free: Array, recorded: Recorded) -> Rows:
+def _principal_rows(
+    recorded: Recorded, axes: Array, weights: Array, together: Array, free: Array, covariance: Array
+) -> Rows:
     """Rotate axes to the principal axes of their block, sort them, and fix their signs.
 
     Constrained axes come first, then free axes, both in ascending order of amplitude. A block is a set of
     axes that may be rotated into each other without a change of the constraint.
     """
-    covariance = recorded.covariance(weights)
     turn = _eigenvectors(jnp.where(together, covariance, 0), together)
     axes, weights = axes @ turn, turn.T @ weights
     square = jnp.einsum("ia,ij,ja->a", turn, covariance, turn) * recorded.signal_part(weights)

@@ -226,10 +226,12 @@ def compare_windows(
     both = materialize(jax.tree.map(lambda a, b: jnp.concatenate([a, b], axis=-2), screened, fitted))
     # an entry with its starting parameters is no standard, unless it has none
     final = np.append(TABLE.parameters == 0, np.ones(CANDIDATES, bool))
-    values = log_probability(both, entries_at(both.codes), final)
+    table = entries_at(both.codes)
+    values = log_probability(both, table, final)
     best = pick(both.codes, jnp.argmax(values, axis=0)[None], 0)[0]
     # what may hold by chance is less certain: every missing motion halves the log odds
-    values = values * 0.5 ** _missing_motions(products, weights.amplitude, noise[:, 0], best)
+    types = jnp.where(jnp.any(table.held, axis=0), 0, np.log(len(LinearType)))  # of an unconstrained motion
+    values = (values + types) * 0.5 ** _missing_motions(products, weights.amplitude, best) - types
     values = values - jax.nn.logsumexp(values, axis=0)
     everywhere = jnp.max(jnp.where(same, values[None, number:], values[:number, None]), axis=1)
     others = jnp.broadcast_to(jnp.where(allowed[exact], exact, -1)[:, None], (len(exact), details.shape[1]))
@@ -239,7 +241,7 @@ def compare_windows(
     return Compared(everywhere.T, codes.T, parameters)
 
 
-def _missing_motions(products: Array, scale_weight: Array, noise: Array, codes: Array) -> Array:
+def _missing_motions(products: Array, scale_weight: Array, codes: Array) -> Array:
     """Number (N,) of independent motions that N bodies lack to test entries with three free rotations.
 
     If n translations are held, the twist has 6 - n independent components. A slow or short motion has fewer
@@ -248,8 +250,8 @@ def _missing_motions(products: Array, scale_weight: Array, noise: Array, codes: 
     unit = jnp.asarray(np.repeat([C.lever, 1], 3)[:, None, None], products.dtype)
     forms = [products[a : a + 6, a : a + 6] for a in (z.TURN_BODY.start, z.TURN_GROUND.start)]
     whole = jnp.einsum("fgbsn,ns->fgbn", jnp.stack(forms, axis=2), scale_weight) * unit * unit[:, None]
-    error = np.exp(2 * C.error_spread) * (C.error_position**2 + jnp.square(C.error_of_noise * noise))
-    seen = jnp.min(count_independent(whole, jnp.broadcast_to(error, (6, 2, len(noise)))), axis=0)
+    error = (np.exp(C.error_spread) * C.error_position) ** 2
+    seen = jnp.min(count_independent(whole, jnp.full(whole.shape[1:], error, whole.dtype)), axis=0)
     return jnp.maximum(jnp.asarray(_COMPONENTS)[codes] - seen, 0)
 
 
