@@ -79,8 +79,8 @@ def _recorded(prepared: Prepared, used: Moments, scale_weight: Array) -> Recorde
     own = (jnp.arange(values.shape[2]) < prepared.length[:, None])[:, None].astype(values.dtype)
     # displacements across a gap are not used
     values = relative_to_section(relative_to_mean(values, own)[0], own, prepared.section)
-    weights = jnp.stack([scale_weight, prepared.moments.scale_weight])
-    sums = jnp.einsum("kns,nsfg->nkfg", weights, used.products)
+    weights = jnp.stack([scale_weight, prepared.moments.scale_weight], axis=1)[..., None, None]
+    sums = jnp.sum(weights * used.products[:, None], axis=2)  # a GPU multiplies many small matrices slowly
     return Recorded(values, jnp.sum(own, axis=(1, 2)), used, sums)
 
 
