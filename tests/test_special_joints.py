@@ -1,6 +1,7 @@
 """Screws, universal joints, far origins and repeatable errors: names and geometry, from one batch."""
 
 import json
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import reframe_jax as rf
 from reframe_jax.export.columns import to_columns
 from reframe_jax.identification.cautions import Caution
+from reframe_jax.joints.fitting import fit_joint
 
 POSES, DT, NOISE = 51, 0.1, 1e-4
 TIMES = DT * np.arange(POSES)
@@ -117,6 +119,20 @@ def test_a_nut_on_a_screw_is_named_with_its_pitch_and_axis(made, found):
             along = np.mean(poses[:, :3, :3] @ along, axis=0)
         assert np.linalg.norm(np.cross(along, axis)) < 1e-3
         assert one.entry is rf.constraint("screw")
+
+
+def test_all_turns_of_a_long_screw_are_counted():
+    """1,500 turns in 8,000 poses, of which a subsample would miss turns."""
+    angle = np.linspace(0, 2 * np.pi * 1500, 8000)
+    poses = np.tile(np.eye(4), (len(angle), 1, 1))
+    poses[:, :3, :3] = Rotation.from_rotvec(np.outer(angle, [0, 0, 1])).as_matrix()
+    poses[:, 2, 3] = 1e-3 * angle
+    frame = rf.ConstraintFrame.named("C", linear_type=rf.LinearType.GB)
+    axes = {"angular_rotvec": np.zeros(3), "linear_rotvec": np.zeros(3), "position": np.zeros(3)}
+    frame = replace(frame, angular_dof=(0, 0, 1), linear_dof=(0, 0, 1), **axes)
+    joint = fit_joint(frame, poses, pitch=1e-3)
+    assert joint.position_error < 1e-6
+    np.testing.assert_allclose(joint.range, (0, angle[-1]), atol=1e-3)
 
 
 def test_outputs_give_the_pitch(found):

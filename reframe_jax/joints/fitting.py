@@ -165,7 +165,8 @@ def fit_joint(
 def _fit(geometry: _Geometry, plan: _Plan, names: dict[str, Any]) -> Joint:
     """Fit the chain of a plan; ``names`` are the fields of the joint that the fit does not change."""
     poses, home, length = geometry.poses, geometry.poses[0], names["length"]
-    some = poses[:: max(1, len(poses) // _AVERAGED)]
+    step = 1 if plan.type == "screw" else max(1, len(poses) // _AVERAGED)  # full turns are counted
+    some = poses[::step]
     for _ in range(_ROUNDS):
         parts = _parts(geometry, plan, home)
         coordinates = chain_coordinates(parts, home, some, length)
