@@ -68,7 +68,7 @@ class Evidence(NamedTuple):
     worth: float = 2.5
     repeatable_part: float = 0.5
     repeatable_gain: float = 3.0
-    nothing_held: float = 1.5
+    nothing_held: float = 2.0
     nothing_power: float = 1 / 3
     screw_worth: float = 6.0
     pitch_cost: float = log(13.8 * 7)

@@ -2,12 +2,15 @@
 
 import jax
 import numpy as np
+import pytest
 
+import reframe_jax as rf
+from benchmarks import golden_cases
 from reframe_jax.motion.noise import estimate_noise, masked_median, unit_of_rounding
 
 POSES = 400
 SIGMAS = np.array([1e-5, 1e-4, 1e-3, 4e-3])  # m, of as many windows; three times as many rad
-estimate = jax.jit(estimate_noise)
+estimate = jax.jit(lambda *given: estimate_noise(*given)[0])
 ALL = np.ones((POSES, len(SIGMAS)), bool)
 NO_UNIT = np.zeros(len(SIGMAS))
 TIMES = np.repeat(0.02 * np.arange(POSES)[:, None], len(SIGMAS), axis=1)
@@ -93,3 +96,24 @@ def test_the_median_of_what_counts(rng):
         middle = ordered[(len(ordered) - 1) // 2 : len(ordered) // 2 + 1]
         assert 0.995 * middle[0] <= found[i] <= 1.005 * middle[-1]
     assert found[3] == 0
+
+
+@pytest.mark.parametrize("late", [0.0, 0.45])
+def test_times_that_jitter_are_noticed(late):
+    """The poses are evenly spaced; the times are wrong by up to ``late`` steps."""
+    turns = np.diff(smooth(), axis=1)
+    times = TIMES + late * (TIMES[1] - TIMES[0]) * np.random.default_rng(3).uniform(-1, 1, TIMES.shape)
+    jitter = jax.jit(estimate_noise)(smooth(), turns, times, ALL, NO_UNIT)[1]
+    assert np.all(jitter == (late > 0))
+
+
+@pytest.mark.parametrize("label", "EF")
+def test_times_that_jitter_do_not_bend_the_paths_of_twists(label):
+    """Skates and wheels, which restrict velocities, at 10 Hz; a plane would hold fewer of them exactly."""
+    cases = golden_cases.simulate(
+        [golden_cases.Spec("white", label, "exciting", 10, 1e-6, seed=seed) for seed in range(400, 408)]
+    )
+    number = len(cases[0].poses)
+    late = np.random.default_rng(0).uniform(-0.49, 0.49, (len(cases), number))
+    found = rf.identify(np.stack([case.poses for case in cases]), times=(np.arange(number) + late) / 10)
+    assert all(name in case.expected for name, case in zip(found.name, cases, strict=True))

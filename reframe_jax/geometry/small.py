@@ -194,10 +194,10 @@ def count_independent(covariance: Array, least: Array) -> Array:
     def eliminate(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         rest, number = carry
         excess = rest[each, each] - least
-        there = largest(excess) > 0
-        row = jnp.sum(jnp.where(excess == largest(excess), rest, 0), axis=1)
-        pivot = jnp.sum(jnp.where(excess == largest(excess), row, 0), axis=0)
-        return rest - jnp.where(there, row[:, None] * row / pivot, 0), number + there
+        top = jnp.max(excess, axis=0)
+        row = jnp.sum(jnp.where(excess == top, rest, 0), axis=1)
+        pivot = jnp.sum(jnp.where(excess == top, row, 0), axis=0)
+        return rest - jnp.where(top > 0, row[:, None] * row / pivot, 0), number + (top > 0)
 
     number = jnp.zeros(least.shape[1:], jnp.int32)
     return jax.lax.fori_loop(0, len(each), eliminate, (covariance, number))[1]

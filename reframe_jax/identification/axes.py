@@ -51,7 +51,8 @@ class Recorded(NamedTuple):
     def signal_part(self, weights: Array) -> Array:
         """Part (3,) of the mean squares of coordinates that is at the used scales, and not white noise."""
         signal, every = jnp.einsum("if,kfg,ig->ki", weights, self.scales, weights)
-        return signal / every
+        known = (signal > 0) & (every > 0)  # not lost by rounding
+        return jnp.where(known, signal / jnp.where(known, every, 1), 1)
 
 
 class Frames(NamedTuple):
@@ -125,8 +126,7 @@ def _principal_rows(
 def _rows_along(axes: Array, rows: Array, dof: Array, rms: Array, recorded: Recorded) -> Rows:
     """Coordinates along given axes; ``rows`` (3, 27) are the weights along the axes of the body."""
     weights = axes.T @ rows
-    square = jnp.diagonal(recorded.covariance(weights)) * recorded.signal_part(weights)
-    return Rows(axes, rms, square, dof)
+    return Rows(axes, rms, jnp.diagonal(recorded.covariance(weights)) * recorded.signal_part(weights), dof)
 
 
 def _eigenvectors(covariance: Array, together: Array) -> Array:

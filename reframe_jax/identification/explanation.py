@@ -99,10 +99,6 @@ def _largest(covariance: Any) -> float:
     return _INTERVAL * float(np.sqrt(max(np.linalg.eigvalsh(np.asarray(covariance, float))[-1], 0)))
 
 
-def _within(size: float, unit: str) -> str:
-    return f", ± {two_digits(size)} {unit} (95 %)"
-
-
 def _where(found: Any, spread: Covariance | None) -> str:
     """State the position of the origin; an empty text if every position is equally valid."""
     free = round(float(np.trace(found.linear.free_position)))
@@ -114,7 +110,7 @@ def _where(found: Any, spread: Covariance | None) -> str:
     elif free:
         what, others = "A point of the contact is", _equal_points(found.linear.free_position, free)
     body = BODY_NAMES[found.linear.frame_type.position_body]
-    size = "" if spread is None else _within(1e3 * _largest(spread.position), "mm")
+    size = "" if spread is None else f", ± {two_digits(1e3 * _largest(spread.position))} mm (95 %)"
     line = f"{what} {format_vector(found.linear.position, 4)} m in the {body}{size}."
     if spread is not None and float(np.asarray(spread.inflation)[..., 2]) > _SLOW:
         line += " This error comes mainly from slow errors, such as tracker drift."
@@ -147,7 +143,7 @@ def _direction(found: Any, spread: Covariance | None) -> str:
         covariance = None if spread is None else spread.linear_axes
     else:
         return ""
-    size = "" if covariance is None else _within(np.degrees(_largest(covariance)), "degrees")
+    size = "" if covariance is None else f", ± {two_digits(np.degrees(_largest(covariance)))} degrees (95 %)"
     line = f"{what} the direction {format_vector(axes[:, index], 3)} in the {BODY_NAMES[body]}{size}."
     if np.isfinite(found.pitch):
         lead, hand = 2e3 * np.pi * abs(found.pitch), "right" if found.pitch > 0 else "left"

@@ -78,12 +78,17 @@ def prepare_windows(
     rotation, position, own = path[:9].reshape(3, 3, *own.shape), path[9:], here < count
     times = jnp.pad(jnp.cumsum(gaps, axis=0), ((1, 0), (0, 0)))
     still = jax.lax.stop_gradient((position, kinematics.turns_of(rotation), times))
-    noise = jnp.stack(estimate_noise(*still, own, unit), axis=1)
+    deviations, jitter = estimate_noise(*still, own, unit)
+    noise = deviations.T
     distance = jnp.sqrt(jnp.max(jnp.where(own, jnp.sum(jnp.square(still[0]), axis=0), 0), axis=0))
     # poses without order give no estimate of the noise except the rounding error
     size = jnp.stack([distance, jnp.full_like(distance, np.pi)], axis=1)
     noise = jnp.where(scales == 0, 4 * float(jnp.finfo(poses.dtype).eps) * size, noise)
-    features = pose_features(rotation, position, gaps.T, count, scales == 0)
+    # times that jitter would bend the paths of twists
+    own_steps = here[:-1] < count - 1
+    mean = jnp.sum(jnp.where(own_steps, gaps, 0), axis=0) / (count - 1).astype(gaps.dtype)
+    clock = jnp.where(jitter & own_steps & (scales < 0), mean, gaps)
+    features = pose_features(rotation, position, clock.T, count, scales == 0)
     moments = scale_moments(features.values, own.T, count, section.T, scales == 0, times.T)
     box = jnp.maximum(REACH, REACH * distance)
     box = jnp.where(jnp.isnan(bounds), box, jnp.asarray(bounds, box.dtype))

@@ -119,12 +119,7 @@ def amplitude_nodes(measured: Array, noise: Array, variance: Array) -> Nodes:
     )
 
 
-def _totals() -> np.ndarray:
-    """Polynomial in log B of the log integral of the density with slopes B and -G."""
-    slopes = np.exp(np.linspace(log(0.5), log(4), 60))
-    g = C.free_above
-    totals = [log(0.5 * gamma(b / 2) * gamma(g / 2) / gamma((b + g) / 2)) for b in slopes]
-    return np.polyfit(np.log(slopes), totals, 5)
-
-
-_TOTALS = _totals()
+# polynomial in log B of the log integral of the density with slopes B and -G
+_SLOPES, _G = np.exp(np.linspace(log(0.5), log(4), 60)), C.free_above
+_LOGS = [log(0.5 * gamma(b / 2) * gamma(_G / 2) / gamma((b + _G) / 2)) for b in _SLOPES]
+_TOTALS = np.polyfit(np.log(_SLOPES), _LOGS, 5)

@@ -14,7 +14,7 @@ from reframe_jax.geometry.small import invert_symmetric, materialize, pick, time
 from reframe_jax.geometry.symmetric import INDEX_PAIRS
 from reframe_jax.model import features as z
 from reframe_jax.model.amplitudes import Spectra, amplitudes_of
-from reframe_jax.model.evidence import Evaluated, log_evidence
+from reframe_jax.model.evidence import Evaluated, log_evidence, screw_squares
 from reframe_jax.model.features import Features
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.rows import Forms, in_body
@@ -96,8 +96,8 @@ def evaluate_entries(forms: Forms, at: Unknowns, entries: Table, windows: Window
     evidence = log_evidence(amplitudes, tilt, entries, spectra.noise, windows.varies)
     # entries whose evidence is not a number, for example where nothing moves, are improbable
     evidence = jnp.where(jnp.isnan(evidence), -jnp.inf, evidence)
-    numbers = amplitudes.square, amplitudes.independent, amplitudes.log_variance
-    return Evaluated(evidence, consistency, *numbers)
+    numbers = amplitudes.independent, amplitudes.log_variance
+    return Evaluated(evidence, consistency, screw_squares(amplitudes), *numbers)
 
 
 def _universal_moments(a: Array, b: Array, products: Array, features: Features) -> UniversalMoments:

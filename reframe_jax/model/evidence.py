@@ -127,8 +127,8 @@ class Evaluated(NamedTuple):
 
     evidence: Array  # (...) result of :func:`log_evidence`
     consistency: Array  # (...) mean log |det| of the derivative of the coordinates with respect to the pose
-    square: Array  # (6, ...) as in :class:`Amplitudes`
-    independent: Array  # (6, ...)
+    screw: Array  # (3, ...) result of :func:`screw_squares`
+    independent: Array  # (6, ...) as in :class:`Amplitudes`
     log_variance: Array  # (6, ...)
 
 
@@ -171,12 +171,19 @@ def _raised(log_variance: Array, table: Table, best: Array) -> Array:
     return jnp.minimum(raised, log_variance + 2 * log(C.repeatable_gain))
 
 
+def screw_squares(amplitudes: Amplitudes) -> Array:
+    """Mean squares (3, ...) of the rotation about the axis, the translation along it, and slow errors."""
+    # slow errors, which the other held coordinates show, may be proportional to the rotation
+    one, other, turn, *across, row = amplitudes.square
+    tilts = (one + other) * jnp.maximum(*amplitudes.lever[3:5])
+    errors = jnp.maximum(row, 0.5 * jnp.maximum(across[0] + across[1], tilts))
+    return jnp.stack([turn, row, errors]).astype(jnp.float32)
+
+
 def _screw(entries: Evaluated, pitch: Array, worth: Array) -> Array:
     """Log evidence (E, ...) of a screw: agreement of translation and rotation, less the cost of a pitch."""
-    turn, *others, row = entries.square[2:].astype(jnp.float32)
+    turn, row, errors = entries.screw
     travel = jnp.square(pitch).astype(jnp.float32) * turn
     values = jnp.maximum(jnp.minimum(entries.independent[2], C.screw_worth) - 1 - worth, 0)
-    # slow errors, which the other held translations show, may be proportional to the rotation
-    errors = jnp.maximum(row, 0.5 * (others[0] + others[1]))
     gain = values * 0.5 * jnp.log((errors + travel) / errors)
     return gain + jnp.minimum(0, 0.5 * jnp.log(row / (travel + 1e-24))) - C.pitch_cost

@@ -121,8 +121,7 @@ def scale_moments(
         total, weight = materialize((total[..., h:] + total[..., :-h], weight[..., h:] + weight[..., :-h]))
         h *= 2
     rest, found = relative_to_mean(block, full)
-    rest = relative_to_section(rest, full, section)
-    parts.append((rest, found))
+    parts.append((relative_to_section(rest, full, section), found))
     # motion is correlated: short sections tell no more of its smooth part than a recording without gaps
     details.append(jnp.maximum(jnp.minimum(used / width - sections, used / whole - 1), 0.5))
     # sums are stacked before they are divided: a CPU does not vectorize what it concatenates

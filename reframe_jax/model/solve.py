@@ -237,7 +237,7 @@ def compare_windows(
     others = jnp.broadcast_to(jnp.where(allowed[exact], exact, -1)[:, None], (len(exact), details.shape[1]))
     codes = jnp.concatenate([fitted.codes, others])
     at = jax.tree.map(lambda a, b: jnp.concatenate([a, b[..., exact, :]], axis=-2), fitted.at, starts)
-    parameters = _parameters(at, entries_at(codes), windows)
+    parameters = _parameters(at, codes, windows)
     return Compared(everywhere.T, codes.T, parameters)
 
 
@@ -279,13 +279,14 @@ def _start_parameters(at: Unknowns, mean: Array) -> Parameters:
     return Parameters(*(_windows_first(leaf) for leaf in (axes, at.origin, at.tilt, at.pitch)))
 
 
-def _parameters(at: Unknowns, entries: Table, windows: WindowStatistics) -> Parameters:
+def _parameters(at: Unknowns, codes: Array, windows: WindowStatistics) -> Parameters:
     """Parameters (N, entries, ...) from unknowns, which are given in axes of the main body."""
     universal, mean = windows.universal, windows.mean[:, :, None]
-    axes = jnp.where(in_body(entries), at.frame, times(jnp.swapaxes(mean, 0, 1), at.frame))
+    inside, crossed = (jnp.asarray(flags)[codes] for flags in (in_body(TABLE), TABLE.crossed))
+    axes = jnp.where(inside, at.frame, times(jnp.swapaxes(mean, 0, 1), at.frame))
     cross_axes, cross_tilt = crossed_frame(universal.ground, universal.body, windows.mean)
-    axes = jnp.where(entries.crossed, cross_axes[:, :, None], axes)
-    tilt = jnp.where(entries.crossed, cross_tilt[:, None], at.tilt)
+    axes = jnp.where(crossed, cross_axes[:, :, None], axes)
+    tilt = jnp.where(crossed, cross_tilt[:, None], at.tilt)
     return Parameters(*(_windows_first(leaf) for leaf in (axes, at.origin, tilt, at.pitch)))
 
 

@@ -14,6 +14,7 @@ from jax import lax
 _ORDERS = (4, 6)  # orders of the differences; those of order 2 contain the motion of few poses
 _MEDIAN_LENGTHS = (1.0, 0.6745, 1.1774, 1.5382)  # of standard normal vectors with 0, 1, 2 and 3 components
 _OFF_GRID = 0.05  # mean distance of steps from multiples of the smallest step; 0.25 without rounding
+_SMOOTHER = 0.5  # noise for equal steps over noise for the times, below which the times jitter
 _BISECTIONS, _OCTAVES = 14, 40  # steps and range of the bisection of a median: 0.2 % over twelve decades
 
 
@@ -60,7 +61,8 @@ def estimate_noise(
         unit: (N,) m, unit to which the positions are rounded, or 0; see :func:`unit_of_rounding`.
 
     Returns:
-        Standard deviations of position, (N,) m, and of orientation, (N,) rad.
+        Standard deviations of position, m, and of orientation, rad, (2, N); and whether the times jitter: the
+        poses are smooth for equal steps, (N,) bool, but not for the times.
     """
     both = counted[1:] & counted[:-1]
     constant = constant_components(position, counted), constant_components(turns, both, 1)
@@ -77,9 +79,11 @@ def estimate_noise(
     size = jnp.moveaxis(jnp.stack(sizes), 3, 0)  # (M, orders, 2 clocks, 2, N)
     deviation = masked_median(size, jnp.isfinite(size)) / median
     enough = jnp.sum(jnp.isfinite(size), axis=0) >= 4
-    best = jnp.min(jnp.where(enough, deviation, jnp.inf), axis=(0, 1))
+    clocks = jnp.min(jnp.where(enough, deviation, jnp.inf), axis=0)  # (2 clocks, 2, N)
+    best = jnp.min(clocks, axis=0)
     spreads = jnp.maximum(jnp.where(jnp.isfinite(best), best, 0), rounding)
-    return jnp.maximum(spreads[0], unit / 12**0.5), spreads[1]
+    spreads = spreads.at[0].max(unit / 12**0.5)
+    return spreads, jnp.all(clocks[0] < _SMOOTHER * clocks[1], axis=0)
 
 
 def _unit_differences(values: jax.Array, times: jax.Array, order: int) -> jax.Array:

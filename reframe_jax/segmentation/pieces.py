@@ -52,7 +52,10 @@ def find_pieces(cells: Cells) -> list[Piece]:
     for _ in range(_ROUNDS):
         path = likeliest(coverage, cells.price)
         edges = [0, *(np.flatnonzero(np.diff(path)) + 1).tolist(), number]
-        spans = _neighbours(edges)
+        # pieces, pieces without their ends, and two and three consecutive pieces
+        spans = {span for count in (1, 2, 3) for span in zip(edges, edges[count:], strict=False)}
+        spans |= {(a + cut, b - cut) for a, b in pairwise(edges) for cut in (1, 2)}
+        spans = {span for span in spans if span[1] - span[0] >= 3}
         new = np.array(sorted(spans - done)).reshape(-1, 2)
         if len(new):
             tried = tried.join(fit_models(cells, new))
@@ -91,13 +94,6 @@ def _windows(number: int) -> np.ndarray:
         spans.append(np.stack([start, start + length], axis=1))
         length *= 2
     return np.concatenate(spans)
-
-
-def _neighbours(edges: list[int]) -> set[tuple[int, int]]:
-    """Spans of pieces, of pieces without their ends, and of two and three consecutive pieces."""
-    spans = {span for count in (1, 2, 3) for span in zip(edges, edges[count:], strict=False)}
-    spans |= {(a + cut, b - cut) for a, b in pairwise(edges) for cut in (1, 2)}
-    return {span for span in spans if span[1] - span[0] >= 3}
 
 
 def join_pieces(cells: Cells, pieces: list[Piece]) -> list[Piece]:

@@ -74,11 +74,8 @@ def _window_excitations(window: Prepared, windows: Windows, _: jax.Array) -> Exc
     mean = jnp.einsum("nif,nf->ni", weights, durations[:, :-1]) / square
     reach = [jnp.einsum("nif,nmfc->nmic", weights, of) for of in window.features[1:3]]
     gain = [jnp.mean(jnp.sum(jnp.square(of), axis=-1), axis=1) for of in reach]
-    noise = (
-        2
-        * (gain[0] * window.noise[:, :1] ** 2 + gain[1] * window.noise[:, 1:] ** 2)
-        / (width[:, None] * square)
-    )
+    variance = gain[0] * window.noise[:, :1] ** 2 + gain[1] * window.noise[:, 1:] ** 2
+    noise = 2 * variance / (width[:, None] * square)
     free = ~jnp.asarray(entry.held) | (entry.pitch[:, None] & (jnp.arange(6) == 5))
     motions, steady = jax.vmap(_independent_motions)(gram, mean, noise, free)
     failed = (window.status >= 10) | (found.entry_code < 0)
