@@ -178,6 +178,8 @@ def test_independent_variables_are_counted(rng):
     np.testing.assert_array_equal(found, np.arange(7))
     sizes = np.diag([4.0, 1.0, 1e-3, 1e-5, 2.0, 0.0])
     assert count_independent(jnp.asarray(sizes), jnp.full(6, 1e-4)) == 4
+    opposite = np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.5]])  # equal variances
+    assert count_independent(jnp.asarray(opposite), jnp.full(3, 1e-4)) == 2
     assert count_independent(jnp.asarray(sizes), jnp.asarray([1e-4, 1e-4, 1e-2, 1e-4, 1e-4, 1e-4])) == 3
 
 

@@ -190,13 +190,14 @@ def count_independent(covariance: Array, least: Array) -> Array:
     A variable counts if the variance that the variables before it do not explain exceeds ``least`` (n, ...).
     """
     each = np.arange(len(covariance))
+    index = each.reshape(-1, *[1] * (least.ndim - 1))
 
     def eliminate(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         rest, number = carry
         excess = rest[each, each] - least
-        top = jnp.max(excess, axis=0)
-        row = jnp.sum(jnp.where(excess == top, rest, 0), axis=1)
-        pivot = jnp.sum(jnp.where(excess == top, row, 0), axis=0)
+        top, best = jnp.max(excess, axis=0), index == jnp.argmax(excess, axis=0)  # one of equals
+        row = jnp.sum(jnp.where(best, rest, 0), axis=1)
+        pivot = jnp.sum(jnp.where(best, row, 0), axis=0)
         return rest - jnp.where(top > 0, row[:, None] * row / pivot, 0), number + (top > 0)
 
     number = jnp.zeros(least.shape[1:], jnp.int32)
